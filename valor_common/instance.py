@@ -1,0 +1,107 @@
+"""An instance: one running robot system with its own folder, Bifrost network, ROS domain and settings.
+
+``valorctl up`` writes the settings to ``<home>/<name>/instance.json``; every service reads them from there, named by
+``VALOR_HOME`` and ``VALOR_INSTANCE`` in its environment. Two instances share nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from valor_common.errors import ConfigurationError
+
+DEFAULT_NAME = "default"
+_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+
+ClockMode = Literal["lockstep", "realtime"]
+
+
+class Settings(BaseModel):
+    """What ``valorctl up`` decided for an instance."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    profile: str = "sim"
+    robot: Path  # the robot's folder
+    clock: ClockMode = "lockstep"
+    actuators: str = "hardware"  # a profile of robot.yaml: how far the plant is from the controller's model
+    seed: int = 0
+    world: str = "flat"
+    real_time_factor: float = 1.0  # lockstep is paced to this; 0: as fast as it goes
+    ros_domain_id: int
+    bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
+
+
+class Instance:
+    """Where an instance keeps its things."""
+
+    def __init__(self, name: str, home: Path) -> None:
+        if not _NAME.fullmatch(name):
+            raise ConfigurationError(
+                f"instance name {name!r}: expected lower-case letters, digits, - and _, at most 32, "
+                "beginning with a letter or digit"
+            )
+        self.name = name
+        self.folder = home / name
+
+    @classmethod
+    def from_environment(cls, name: str | None = None) -> Instance:
+        """The instance named, else ``VALOR_INSTANCE``, else ``default``, under ``VALOR_HOME`` (``~/.valor``)."""
+        home = Path(os.environ.get("VALOR_HOME") or Path.home() / ".valor")
+        return cls(name or os.environ.get("VALOR_INSTANCE") or DEFAULT_NAME, home)
+
+    @property
+    def settings_file(self) -> Path:
+        """Written by ``valorctl up``; absent while the instance is down."""
+        return self.folder / "instance.json"
+
+    @property
+    def network_file(self) -> Path:
+        """The Bifrost network: computers and their daemons (``BIFROST_NETWORK``)."""
+        return self.folder / "network.json"
+
+    @property
+    def keys(self) -> Path:
+        """The folder of the Bifrost keys, mode 0700 (``BIFROST_KEYS``)."""
+        return self.folder / "keys"
+
+    @property
+    def logs(self) -> Path:
+        """One log file a service, kept after ``valorctl down``."""
+        return self.folder / "logs"
+
+    @property
+    def bags(self) -> Path:
+        """Where bags go unless told otherwise."""
+        return self.folder / "bags"
+
+    def settings(self) -> Settings:
+        """The settings of the running instance.
+
+        Raises:
+            ConfigurationError: the instance is not up, or its file is not readable.
+        """
+        try:
+            return Settings.model_validate_json(self.settings_file.read_text())
+        except FileNotFoundError:
+            raise ConfigurationError(f"instance {self.name!r} is not up: no {self.settings_file}") from None
+        except (OSError, ValidationError) as error:
+            raise ConfigurationError(f"{self.settings_file}: {' '.join(str(error).split())}") from None
+
+    def environment(self) -> dict[str, str]:
+        """The variables with which any process joins the instance."""
+        return {
+            "VALOR_HOME": str(self.folder.parent),
+            "VALOR_INSTANCE": self.name,
+            "BIFROST_NETWORK": str(self.network_file),
+            "BIFROST_KEYS": str(self.keys),
+            "ROS_DOMAIN_ID": str(self.settings().ros_domain_id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            # Shared memory leaves files behind after SIGKILL and was the slower transport for our sizes.
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        }

@@ -1,0 +1,236 @@
+"""The types of the Bifrost topics (units in brackets, frames in names).
+
+Vectors over joints have one entry a joint, in the order of ``RobotDescription.joints``. Quaternions are (w, x, y, z).
+``time`` is robot time [ns]: the stamp of the Proprioceptor that a message belongs to, simulated time in simulation.
+Wrenches are (fx, fy, fz, tx, ty, tz) [N, N·m]: what the world does to the robot, at the named frame's origin and in
+its axes.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from bifrost import Float64Array, Message, Uint8Array
+
+# --- between Comms Manager and Motion Manager ---------------------------------------------------------------------
+
+
+class JointMode(IntEnum):
+    """What a motor does with its command (``Motor.mode``)."""
+
+    OFF = 0
+    POSITION = 1  # the device's own servo on position and velocity; effort is feed-forward
+    IMPEDANCE = 2  # effort + stiffness·(position error) + damping·(velocity error)
+    FORCE = 3  # effort alone, with damping against the measured velocity
+
+
+class Proprioceptor(Message):
+    """All that the robot's devices measured in one control period."""
+
+    time: int
+    sequence: int
+    motor_sequence: int  # sequence of the newest Motor that acted before this was measured; 0: none yet
+    joint_position: Float64Array  # [rad]
+    joint_velocity: Float64Array  # [rad/s]
+    joint_effort: Float64Array  # [N·m]
+    imu_orientation: Float64Array  # (4,) pelvis IMU in world; heading drifts on hardware
+    imu_angular_velocity: Float64Array  # (3,) in IMU [rad/s]
+    imu_linear_acceleration: Float64Array  # (3,) in IMU, specific force [m/s²]
+    left_foot_wrench: Float64Array  # (6,) in sole
+    right_foot_wrench: Float64Array  # (6,) in sole
+    left_hand_wrench: Float64Array  # (6,) in hand
+    right_hand_wrench: Float64Array  # (6,) in hand
+    battery_voltage: float  # [V]
+
+
+class Motor(Message):
+    """One command for every motor. ``proprioceptor_sequence`` says which Proprioceptor it answers."""
+
+    time: int
+    sequence: int
+    proprioceptor_sequence: int
+    mode: Uint8Array  # JointMode
+    position: Float64Array  # [rad]
+    velocity: Float64Array  # [rad/s]
+    effort: Float64Array  # [N·m]
+    stiffness: Float64Array  # [N·m/rad]
+    damping: Float64Array  # [N·m·s/rad]
+
+
+class ClockStatus(Message):
+    """How robot time runs against the wall's."""
+
+    mode: str  # lockstep, realtime, or hardware
+    time: int
+    real_time_factor: float  # over the last second
+    slip: float  # robot time lost against the wall since the first Motor [s]
+    waits_timed_out: int  # lockstep: periods that went on without the Motor that answers them
+    holding: bool  # Motor is silent: the joints are held with damping
+
+
+# --- Motion Manager out -------------------------------------------------------------------------------------------
+
+
+class MotionState(Message):
+    """What the Motion Manager is doing and what it believes, every control period."""
+
+    time: int
+    proprioceptor_sequence: int
+    behavior: str
+    locomotion: str
+    manipulation: str
+    attention: str
+    reason: str  # of the last change of behavior
+    pelvis_position_in_odom: Float64Array  # (3,) [m], estimated
+    pelvis_orientation_in_odom: Float64Array  # (4,), estimated
+    pelvis_linear_velocity_in_odom: Float64Array  # (3,) [m/s]
+    pelvis_angular_velocity_in_pelvis: Float64Array  # (3,) [rad/s]
+    com_in_odom: Float64Array  # (3,) [m]
+    dcm_in_odom: Float64Array  # (3,) [m]
+    dcm_reference_in_odom: Float64Array  # (3,) [m]
+    cop_in_odom: Float64Array  # (2,) [m], from the foot wrenches; NaN without contact
+    contacts: Uint8Array  # (2,) left, right foot: 1 in contact
+    desired_foot_forces: Float64Array  # (2,) vertical, left and right, as the QP planned them [N]
+    qp_status: int  # 0 not run, 1 optimal, 2 re-solved with torque limits, -1 infeasible (last feasible with damping)
+    qp_failures: int  # since start
+    torque_saturations: int  # joint commands clamped by effort limits, since start
+    tick_time: float  # of this tick, from Proprioceptor received to Motor sent [s]
+
+
+class Rejection(Message):
+    """A command that the Motion System did not obey."""
+
+    topic: str
+    origin: str  # the node that sent it
+    reason: str
+    count: int  # rejections on this topic since start
+
+
+class StepStatus(Message):
+    """Progress of a footstep plan."""
+
+    time: int
+    state: str  # idle, executing, finished, failed
+    reason: str
+    queue_size: int
+    last_performed_step_index: int  # -1: none
+    executing_step_index: int  # -1: none
+    first_changeable_step_index: int  # -1: none
+
+
+# --- Motion Manager in --------------------------------------------------------------------------------------------
+
+
+class JointSetpoints(Message):
+    """Set-points by joint name (the thesis' MSetpoint)."""
+
+    time: int
+    names: list[str]
+    position: Float64Array  # [rad]
+    velocity: Float64Array  # [rad/s]
+    acceleration: Float64Array  # [rad/s²]
+
+
+class BehaviorRequest(Message):
+    """Go to a behavior, named as in ``motion_manager/behaviors.py`` (``stand``, ``stand_manipulate``, …)."""
+
+    behavior: str
+
+
+class BehaviorReply(Message):
+    """Accepted, or refused with the reason; and the behavior the Motion Manager is in now."""
+
+    accepted: bool
+    behavior: str
+    reason: str
+
+
+class Footstep(Message):
+    """Where one foot goes."""
+
+    step_index: int
+    foot: int  # 0 left, 1 right
+    position_in_odom: Float64Array  # (3,) of the sole [m]
+    orientation_in_odom: Float64Array  # (4,) of the sole
+    swing_height: float  # above the higher of lift-off and touch-down [m]; 0: the robot's default
+    swing_duration: float  # [s]; 0: the robot's default
+    transfer_duration: float  # [s]; 0: the robot's default
+
+
+class FootstepPlanRequest(Message):
+    """Execute a plan, update the running one from its first step on, or stop (no steps)."""
+
+    steps: list[Footstep]
+
+
+class FootstepPlanReply(Message):
+    """Accepted, or refused with the reason."""
+
+    accepted: bool
+    behavior: str
+    reason: str
+
+
+# --- VRC out ------------------------------------------------------------------------------------------------------
+
+
+class ControlModeReport(Message):
+    """The VRC's control mode and how it came to it (the Bifrost twin of /flor/controller/mode)."""
+
+    time: int
+    requested_control_mode: str
+    current_control_mode: str
+    status: int  # flags of vigir_humanoid_control_msgs/ControlModeStatus
+    behavior: str  # of the Motion System, as last reported; empty: not heard
+
+
+# --- simulation ---------------------------------------------------------------------------------------------------
+
+
+class GroundTruth(Message):
+    """The simulator's truth. For experiments and pictures: no controller may read it."""
+
+    time: int
+    pelvis_position_in_world: Float64Array  # (3,) [m]
+    pelvis_orientation_in_world: Float64Array  # (4,)
+    pelvis_linear_velocity_in_world: Float64Array  # (3,) [m/s]
+    com_in_world: Float64Array  # (3,) [m]
+    joint_position: Float64Array  # [rad]
+    contacts: Uint8Array  # (2,) left, right foot
+
+
+class PushRequest(Message):
+    """Push the chest of the simulated robot."""
+
+    impulse_in_world: Float64Array  # (3,) [N·s]
+    duration: float  # [s]
+
+
+class PushReply(Message):
+    """Whether the push began, and when [robot time, ns]."""
+
+    accepted: bool
+    time: int
+    reason: str
+
+
+# --- every service ------------------------------------------------------------------------------------------------
+
+
+class Statistics(Message):
+    """How a service fares: its own word, once a second and at every change of state."""
+
+    service: str
+    pid: int
+    state: str  # starting, ready, stopping
+    detail: str  # what it waits for while starting
+    cycles: int  # of its main loop since start
+    cycle_time_mean: float  # spent working a cycle, over the last second [s]
+    cycle_time_max: float
+    period_mean: float  # between cycles, over the last second [s]
+    period_max: float
+    overruns: int  # cycles that took longer than the control period, since start
+    cpu_percent: float  # of one core, over the last second
+    memory_mib: float
+    drops: int  # messages its queues dropped, since start
+    rejected: int  # inputs it refused, since start

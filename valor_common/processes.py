@@ -1,0 +1,39 @@
+"""Every process of an instance: how it starts, what it needs, what it may use.
+
+One of the two tables a newcomer opens first (the other is ``topics.py``). The supervisor's configuration, the health
+checks of ``valorctl`` and the tables in the documentation come from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Process:
+    """One line of the table."""
+
+    name: str
+    module: str  # started as ``python -m module``
+    description: str
+    needs: tuple[str, ...]  # started after these
+    straddles_ros: bool  # imports rclpy
+    cpu_budget: float  # [% of one core], standing, at 500 Hz
+    memory_budget: float  # [MiB]
+    stop_timeout: float = 5.0  # from SIGTERM to SIGKILL [s]
+
+
+PROCESSES: tuple[Process, ...] = (
+    Process("bifrostd", "bifrost.daemon", "who publishes what", (), False, 5.0, 60.0),
+    Process("comms_manager", "comms_manager", "the robot's hardware in one place", ("bifrostd",), False, 45.0, 150.0),
+    Process("motion_manager", "motion_manager", "state machines and whole-body control", ("bifrostd",), False, 70.0,
+            150.0),
+    Process("valor_ros_controller", "valor_ros_controller", "robot controller; ROS 2 to Bifrost", ("bifrostd",), True,
+            50.0, 160.0),
+    Process("footstep_converter", "footstep_converter", "footstep plans into the Motion System's", ("bifrostd",), True,
+            10.0, 130.0),
+    Process("bag_recorder", "bag_recorder", "Bifrost and ROS messages in one bag", ("bifrostd",), True, 50.0, 200.0,
+            10.0),
+)  # fmt: skip
+
+BY_NAME: dict[str, Process] = {process.name: process for process in PROCESSES}

@@ -1,0 +1,285 @@
+"""The robot description: everything the code knows about a robot, read from its folder.
+
+A robot is a folder with ``model.xml`` (MJCF: bodies, inertias, joints, geoms, sites) and ``robot.yaml`` (the tables
+below). This module reads ``robot.yaml`` only; ``valor_common.model`` makes MuJoCo models from the pair. Limits live in
+``robot.yaml`` and are written into the models from there, so that no number stands twice.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from valor_common.errors import ConfigurationError
+
+FloatVector = npt.NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Table(BaseModel):
+    """A part of robot.yaml: unknown keys are errors, values are fixed once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Servo(Table):
+    """Gains of a joint's own position servo."""
+
+    stiffness: NonNegative  # [N·m/rad]
+    damping: NonNegative  # [N·m·s/rad]
+
+
+class Joint(Table):
+    """One actuated joint. ``lower`` and ``upper`` are absent where it turns without end."""
+
+    lower: float | None = None  # [rad]
+    upper: float | None = None  # [rad]
+    velocity: Positive  # limit [rad/s]
+    effort: Positive  # limit [N·m]
+    control: Literal["force", "impedance", "position"]  # how the Motion Manager drives it in operation
+    servo: Servo  # used in Idle, Stand Prep, Freeze, and in operation where control is not force
+    armature: NonNegative = 0.0  # rotor inertia seen at the joint [kg·m²]
+    damping: NonNegative = 0.0  # viscous [N·m·s/rad]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Joint:
+        if (self.lower is None) != (self.upper is None):
+            raise ValueError("give both lower and upper, or neither")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise ValueError(f"lower {self.lower} must be below upper {self.upper}")
+        return self
+
+
+class Foot(Table):
+    """A foot: its body, and the site at the sole's origin (x forward, z up, on the contact surface)."""
+
+    body: str
+    sole: str
+    heel: float  # x of the sole's back edge in the sole's frame [m]
+    toe: float  # x of the front edge [m]
+    half_width: Positive  # [m]
+
+
+class Hand(Table):
+    """A hand: its body, and the site that hand poses and wrenches refer to."""
+
+    body: str
+    site: str
+
+
+class Feet(Table):
+    """Both feet."""
+
+    left: Foot
+    right: Foot
+
+
+class Hands(Table):
+    """Both hands."""
+
+    left: Hand
+    right: Hand
+
+
+class Imu(Table):
+    """Where the pelvis IMU sits."""
+
+    site: str
+
+
+class SensorNoise(Table):
+    """Standard deviations of white noise, and constant biases, of the simulated devices."""
+
+    joint_position: NonNegative = 0.0  # [rad]
+    joint_position_resolution: NonNegative = 0.0  # encoder quantum [rad]
+    joint_velocity: NonNegative = 0.0  # [rad/s]
+    joint_effort: NonNegative = 0.0  # [N·m]
+    orientation: NonNegative = 0.0  # IMU attitude, white [rad]
+    orientation_bias: NonNegative = 0.0  # roll and pitch, constant, drawn once from the seed [rad]
+    gyroscope: NonNegative = 0.0  # [rad/s]
+    accelerometer: NonNegative = 0.0  # [m/s²]
+    force: NonNegative = 0.0  # [N]
+    torque: NonNegative = 0.0  # [N·m]
+
+
+class ActuatorProfile(Table):
+    """How far the simulated plant is from the controller's model."""
+
+    mass_error: NonNegative = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
+    friction: NonNegative = 0.0  # Coulomb friction of force-controlled and impedance-controlled joints [N·m]
+    torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
+    delay: NonNegative = 0.0  # of commands [s]
+    backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
+    noise: SensorNoise = SensorNoise()
+
+
+class FallDetection(Table):
+    """When the robot is lost."""
+
+    tilt: Positive  # of the pelvis from upright [rad]
+    height: Positive  # of the pelvis above the lower sole, as a fraction of its nominal height
+    dcm_margin: Positive  # of the DCM outside the support polygon [m]
+
+
+class WholeBody(Table):
+    """Weights and gains of the Whole-Body Controller: data, so that another robot can have its own."""
+
+    friction: Positive = 0.6  # coefficient assumed
+    contact_inset: NonNegative = 0.01  # contact points pulled in from the sole's edges [m]
+    dcm_gain: Positive = 5.0  # k_ξ
+    com_weight: Positive = 20.0
+    angular_momentum_weight: NonNegative = 0.003
+    angular_momentum_gain: NonNegative = 1.0
+    orientation_weight: Positive = 3.0
+    orientation_stiffness: Positive = 120.0
+    orientation_damping: Positive = 22.0
+    foot_weight: Positive = 200.0
+    foot_damping: Positive = 10.0
+    arm_posture_weight: Positive = 2.0
+    waist_posture_weight: Positive = 0.1
+    leg_posture_weight: Positive = 0.02
+    posture_stiffness: Positive = 60.0
+    posture_damping: Positive = 14.0
+
+
+class RobotTables(Table):
+    """robot.yaml as a whole."""
+
+    name: str
+    model: str  # MJCF file in the robot's folder
+    control_rate: Positive  # [Hz]
+    physics_step: Positive  # of the simulation [s]
+    base: str  # the floating body, the pelvis
+    chest: str  # the body that pushes act on and whose orientation is held
+    head: str
+    imu: Imu
+    feet: Feet
+    hands: Hands
+    joints: dict[str, Joint]  # the order is that of every joint vector
+    groups: dict[str, list[str]]  # left_leg, right_leg, torso, left_arm, right_arm, neck, left_hand, right_hand, …
+    nominal_posture: dict[str, float]  # [rad]; joints not named: 0
+    nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
+    arm_presets: dict[str, dict[Literal["left", "right"], dict[str, float]]]
+    actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
+    fall: FallDetection
+    whole_body: WholeBody = WholeBody()
+    link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
+
+    @model_validator(mode="after")
+    def _names(self) -> RobotTables:
+        known = set(self.joints)
+        for group, members in self.groups.items():
+            if missing := set(members) - known:
+                raise ValueError(f"groups.{group}: unknown joints {sorted(missing)}")
+        if missing := set(self.nominal_posture) - known:
+            raise ValueError(f"nominal_posture: unknown joints {sorted(missing)}")
+        for preset, sides in self.arm_presets.items():
+            for side, posture in sides.items():
+                if missing := set(posture) - set(self.groups[f"{side}_arm"]):
+                    raise ValueError(f"arm_presets.{preset}.{side}: not joints of the {side} arm: {sorted(missing)}")
+        return self
+
+
+class RobotDescription:
+    """A robot's tables with what follows from them.
+
+    Attributes:
+        folder: the robot's folder.
+        tables: robot.yaml.
+        joints: joint names, in the order of every joint vector, length n.
+    """
+
+    def __init__(self, folder: Path, tables: RobotTables) -> None:
+        self.folder = folder
+        self.tables = tables
+        self.joints: tuple[str, ...] = tuple(tables.joints)
+
+    @classmethod
+    def load(cls, folder: Path) -> RobotDescription:
+        """Read a robot's folder.
+
+        Raises:
+            ConfigurationError: the folder, a file or a key is missing or wrong.
+        """
+        file = folder / "robot.yaml"
+        try:
+            content = yaml.safe_load(file.read_text())
+        except OSError as error:
+            raise ConfigurationError(f"{file}: {error.strerror}; expected a robot's folder with robot.yaml") from None
+        except yaml.YAMLError as error:
+            raise ConfigurationError(f"{file}: not YAML: {' '.join(str(error).split())}") from None
+        try:
+            tables = RobotTables.model_validate(content)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
+            raise ConfigurationError(f"{file}: {key}: {first['msg']}") from None
+        if not (folder / tables.model).is_file():
+            raise ConfigurationError(f"{file}: model: no file {folder / tables.model}")
+        return cls(folder, tables)
+
+    @property
+    def name(self) -> str:
+        """The robot's name."""
+        return self.tables.name
+
+    @property
+    def model_file(self) -> Path:
+        """The MJCF file."""
+        return self.folder / self.tables.model
+
+    @property
+    def control_period(self) -> float:
+        """[s]."""
+        return 1.0 / self.tables.control_rate
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Joint name → place in every joint vector."""
+        return {name: i for i, name in enumerate(self.joints)}
+
+    def group_indices(self, group: str) -> npt.NDArray[np.intp]:
+        """Places of a group's joints in every joint vector."""
+        return np.array([self.index[name] for name in self.tables.groups[group]], dtype=np.intp)
+
+    @cached_property
+    def lower(self) -> FloatVector:
+        """(n,) [rad]; -inf where a joint turns without end."""
+        return np.array([-np.inf if j.lower is None else j.lower for j in self.tables.joints.values()])
+
+    @cached_property
+    def upper(self) -> FloatVector:
+        """(n,) [rad]; inf where a joint turns without end."""
+        return np.array([np.inf if j.upper is None else j.upper for j in self.tables.joints.values()])
+
+    @cached_property
+    def velocity_limit(self) -> FloatVector:
+        """(n,) [rad/s]."""
+        return np.array([j.velocity for j in self.tables.joints.values()])
+
+    @cached_property
+    def effort_limit(self) -> FloatVector:
+        """(n,) [N·m]."""
+        return np.array([j.effort for j in self.tables.joints.values()])
+
+    @cached_property
+    def servo_stiffness(self) -> FloatVector:
+        """(n,) [N·m/rad]."""
+        return np.array([j.servo.stiffness for j in self.tables.joints.values()])
+
+    @cached_property
+    def servo_damping(self) -> FloatVector:
+        """(n,) [N·m·s/rad]."""
+        return np.array([j.servo.damping for j in self.tables.joints.values()])
+
+    @cached_property
+    def nominal_posture(self) -> FloatVector:
+        """(n,) [rad]."""
+        return np.array([self.tables.nominal_posture.get(name, 0.0) for name in self.joints])

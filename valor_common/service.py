@@ -1,0 +1,181 @@
+"""What every service does alike: start, say that it is ready, count its cycles, stop when told.
+
+A service's ``__main__.py`` is ``run("name", Class)``; its ``service.py`` holds the loop.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Protocol, Self
+
+import psutil
+
+import bifrost
+from valor_common.errors import ConfigurationError
+from valor_common.instance import Instance, Settings
+from valor_common.messages import Statistics
+from valor_common.robot import RobotDescription
+from valor_common.topics import STATISTICS
+
+EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the service again
+_LOG_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
+
+
+class Context:
+    """What a service is given: its instance, its robot, its Bifrost node, its statistics and the word to stop.
+
+    Attributes:
+        stopping: set by SIGTERM and SIGINT; the loop returns soon after.
+    """
+
+    def __init__(self, name: str, instance: Instance) -> None:
+        self.name = name
+        self.instance = instance
+        self.settings: Settings = instance.settings()
+        self.robot = RobotDescription.load(self.settings.robot)
+        self.stopping = threading.Event()
+        self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
+        self.statistics = StatisticsPublisher(self.node, name, self.robot.control_period)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.statistics.state("stopping")
+        self.node.close()
+
+
+class Service(Protocol):
+    """A service: made from its context, then run until ``context.stopping`` is set."""
+
+    def run(self) -> None:
+        """Return when ``context.stopping`` is set."""
+
+    def close(self) -> None:
+        """Give back everything; called once, after ``run`` and after a failed start."""
+
+
+class StatisticsPublisher:
+    """Counts a loop's cycles and publishes ``<service>/statistics`` once a second and at every change of state.
+
+    Used from the loop's own thread.
+    """
+
+    PERIOD = 1.0  # [s]
+
+    def __init__(self, node: bifrost.Node, service: str, control_period: float) -> None:
+        self._publisher = node.publisher(STATISTICS[service].name, Statistics)
+        self._service = service
+        self._control_period = control_period
+        self._process = psutil.Process()
+        self._process.cpu_percent()
+        self._state, self._detail = "starting", ""
+        self._cycles = self._overruns = 0
+        self.drops = self.rejected = 0
+        self._last_cycle = 0.0
+        self._reset(time.perf_counter())
+
+    def _reset(self, now: float) -> None:
+        self._window_start = now
+        self._window_cycles = 0
+        self._work_sum = self._work_max = self._period_sum = self._period_max = 0.0
+
+    def state(self, state: str, detail: str = "") -> None:
+        """Say that the service is ``starting`` (and what it waits for), ``ready`` or ``stopping``."""
+        if (state, detail) != (self._state, self._detail):
+            self._state, self._detail = state, detail
+            self._publish(time.perf_counter())
+
+    @property
+    def ready(self) -> bool:
+        """Whether the service has said that it is ready."""
+        return self._state == "ready"
+
+    def cycle(self, began: float) -> None:
+        """Count a cycle that began at ``began`` [``time.perf_counter()``, s] and ends now."""
+        now = time.perf_counter()
+        work = now - began
+        self._cycles += 1
+        self._window_cycles += 1
+        self._work_sum += work
+        self._work_max = max(self._work_max, work)
+        if self._last_cycle:
+            period = began - self._last_cycle
+            self._period_sum += period
+            self._period_max = max(self._period_max, period)
+        self._last_cycle = began
+        self._overruns += work > self._control_period
+        if now - self._window_start >= self.PERIOD:
+            self._publish(now)
+
+    def idle(self) -> None:
+        """Publish if a second has passed; for loops that have nothing to count."""
+        now = time.perf_counter()
+        if now - self._window_start >= self.PERIOD:
+            self._publish(now)
+
+    def _publish(self, now: float) -> None:
+        cycles = max(1, self._window_cycles)
+        self._publisher.publish(
+            Statistics(
+                service=self._service,
+                pid=os.getpid(),
+                state=self._state,
+                detail=self._detail,
+                cycles=self._cycles,
+                cycle_time_mean=self._work_sum / cycles,
+                cycle_time_max=self._work_max,
+                period_mean=self._period_sum / cycles,
+                period_max=self._period_max,
+                overruns=self._overruns,
+                cpu_percent=self._process.cpu_percent(),
+                memory_mib=self._process.memory_info().rss / 2**20,
+                drops=self.drops,
+                rejected=self.rejected,
+            )
+        )
+        self._reset(now)
+
+
+def quiet_collector() -> None:
+    """Take the garbage collector out of a control loop: what lives now lives on, cycles are collected rarely."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 50)
+
+
+def run(name: str, make: Callable[[Context], Service]) -> int:
+    """Start a service and run it until SIGTERM or SIGINT. Returns the exit status."""
+    logging.basicConfig(level=logging.INFO, format=_LOG_FORMAT, datefmt="%H:%M:%S", stream=sys.stderr)
+    log = logging.getLogger(name)
+    try:
+        context = Context(name, Instance.from_environment())
+    except (ConfigurationError, bifrost.ConfigurationError) as error:
+        log.error("%s", error)
+        return EXIT_CONFIGURATION
+
+    def stop(signum: int, _frame: FrameType | None) -> None:
+        context.stopping.set()
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    with context:
+        try:
+            service = make(context)
+        except ConfigurationError as error:
+            log.error("%s", error)
+            return EXIT_CONFIGURATION
+        try:
+            service.run()
+        finally:
+            service.close()
+    log.info("stopped")
+    return 0
