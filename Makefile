@@ -1,0 +1,28 @@
+# make setup | demo | test | lint | bench. Everything is installed from PyPI into .venv; see README.md.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(shell command -v uv 2>/dev/null || echo build/uv/bin/uv)
+STAMP := build/setup.stamp
+INTERFACES := $(shell find interfaces -type f -not -path '*/build/*' -not -name '*.whl')
+
+.DELETE_ON_ERROR:
+.PHONY: setup demo test lint bench lock clean
+
+setup: $(STAMP)
+
+build/uv/bin/uv:
+	$(PYTHON) -m venv build/uv
+	build/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
+
+# The compiler and the headers are looked for first: their absence would show much later, and darker.
+$(STAMP): pyproject.toml requirements.txt $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
+	$(UV) venv --quiet --allow-existing --python '>=3.11' $(VENV)
+	$(UV) pip sync --quiet --python $(BIN)/python --require-hashes requirements.txt
+	mkdir -p build && touch $@
+
+lock:
+	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
+	  --group dev pyproject.toml -o requirements.txt
