@@ -1,0 +1,182 @@
+"""Fixtures: an instance of one's own, with real processes and real sockets, that leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+import bifrost
+from valor_common.instance import Instance, Settings
+from valor_common.messages import Statistics
+from valor_common.processes import BY_NAME
+from valor_common.topics import STATISTICS
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+ROBOTS = REPOSITORY / "robots"
+T = TypeVar("T")
+THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+def wait_until(condition: Callable[[], T], timeout: float, what: str, period: float = 0.02) -> T:
+    """Poll until ``condition()`` is true; returns what it gave.
+
+    Raises:
+        AssertionError: not within ``timeout`` [s]; names ``what``.
+    """
+    deadline = time.monotonic() + timeout
+    while True:
+        if value := condition():
+            return value
+        if time.monotonic() > deadline:
+            raise AssertionError(f"not within {timeout:g} s: {what}")
+        time.sleep(period)
+
+
+@dataclass
+class RunningInstance:
+    """An instance without a supervisor: a test starts, stops and kills its processes by name."""
+
+    instance: Instance
+    network: bifrost.Network
+    _running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    _nodes: list[bifrost.Node] = field(default_factory=list)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What any process joins the instance with, on top of this process' own environment."""
+        return os.environ | THREADS | self.instance.environment()
+
+    @property
+    def settings(self) -> Settings:
+        """As ``valorctl up`` would have written them."""
+        return self.instance.settings()
+
+    def configure(self, **changes: object) -> None:
+        """Change settings; processes started from now on see them."""
+        settings = self.settings.model_copy(update=changes)
+        self.instance.settings_file.write_text(settings.model_dump_json())
+
+    def start(
+        self, name: str, *, env: dict[str, str] | None = None, wait: bool = False
+    ) -> subprocess.Popen[bytes]:
+        """Start a process of the table; its output goes to ``log(name)``."""
+        assert name not in self._running, f"{name} runs already"
+        with open(self.instance.logs / f"{name}.log", "ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", BY_NAME[name].module],
+                env=self.environment | (env or {}),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self._running[name] = process
+        if wait:
+            self.wait_ready(name)
+        return process
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """The process started under a name."""
+        return self._running[name]
+
+    def stop(self, name: str, timeout: float = 10.0) -> int:
+        """SIGTERM, and wait; returns the exit status."""
+        process = self._running.pop(name)
+        process.terminate()
+        try:
+            return process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise AssertionError(
+                f"{name} did not stop within {timeout:g} s of SIGTERM; log:\n{self.log(name)}"
+            ) from None
+
+    def kill(self, name: str) -> None:
+        """SIGKILL, and wait."""
+        process = self._running.pop(name)
+        process.kill()
+        process.wait()
+
+    def log(self, name: str) -> str:
+        """What the process has printed."""
+        return (self.instance.logs / f"{name}.log").read_text(errors="replace")
+
+    def node(self, name: str = "test") -> bifrost.Node:
+        """A Bifrost node in this process; closed with the fixture."""
+        node = bifrost.Node(name, network=self.network)
+        self._nodes.append(node)
+        return node
+
+    def wait_ready(self, name: str, timeout: float = 30.0) -> None:
+        """Wait until the process says that it is ready.
+
+        Raises:
+            AssertionError: it died or did not say so; carries its log.
+        """
+        process = self._running[name]
+        with bifrost.Node(f"waiting_for_{name}", network=self.network) as node:
+            statistics = node.subscriber(STATISTICS[name].name, Statistics)
+            deadline = time.monotonic() + timeout
+            while time.monotonic() < deadline:
+                received = statistics.receive(timeout=0.2)
+                if received and received.message.pid == process.pid and received.message.state == "ready":
+                    return
+                assert process.poll() is None, (
+                    f"{name} ended with {process.returncode}; log:\n{self.log(name)}"
+                )
+        raise AssertionError(f"{name} not ready within {timeout:g} s; log:\n{self.log(name)}")
+
+    def close(self) -> None:
+        """End everything."""
+        for node in self._nodes:
+            node.close()
+        for process in reversed(self._running.values()):
+            process.terminate()
+        for process in self._running.values():
+            try:
+                process.wait(5)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+@pytest.fixture
+def home() -> Iterator[Path]:
+    """A short-named VALOR_HOME of the test's own (socket names are limited to 108 bytes)."""
+    folder = Path(tempfile.mkdtemp(prefix="valor-"))
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def ros_domain() -> int:
+    """A ROS domain per test process, away from those that instances choose (1 to 101)."""
+    return 102 + os.getpid() % 60
+
+
+@pytest.fixture
+def instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
+    """An instance with ``bifrostd`` running: free-running lockstep, hardware actuators, seed 0."""
+    made = Instance("test", home)
+    made.logs.mkdir(parents=True)
+    made.bags.mkdir()
+    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=ros_domain, real_time_factor=0.0)
+    made.settings_file.write_text(settings.model_dump_json())
+    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
+    try:
+        running.start("bifrostd")
+        yield running
+    finally:
+        running.close()
