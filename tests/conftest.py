@@ -67,9 +67,7 @@ class RunningInstance:
         settings = self.settings.model_copy(update=changes)
         self.instance.settings_file.write_text(settings.model_dump_json())
 
-    def start(
-        self, name: str, *, env: dict[str, str] | None = None, wait: bool = False
-    ) -> subprocess.Popen[bytes]:
+    def start(self, name: str, *, env: dict[str, str] | None = None, wait: bool = False) -> subprocess.Popen[bytes]:
         """Start a process of the table; its output goes to ``log(name)``."""
         assert name not in self._running, f"{name} runs already"
         with open(self.instance.logs / f"{name}.log", "ab") as log:
@@ -133,9 +131,7 @@ class RunningInstance:
                 received = statistics.receive(timeout=0.2)
                 if received and received.message.pid == process.pid and received.message.state == "ready":
                     return
-                assert process.poll() is None, (
-                    f"{name} ended with {process.returncode}; log:\n{self.log(name)}"
-                )
+                assert process.poll() is None, f"{name} ended with {process.returncode}; log:\n{self.log(name)}"
         raise AssertionError(f"{name} not ready within {timeout:g} s; log:\n{self.log(name)}")
 
     def close(self) -> None:

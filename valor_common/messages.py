@@ -90,9 +90,7 @@ class MotionState(Message):
     dcm_reference_in_odom: Float64Array  # (3,) [m]
     cop_in_odom: Float64Array  # (2,) [m], from the foot wrenches; NaN without contact
     contacts: Uint8Array  # (2,) left, right foot: 1 in contact
-    joint_setpoint: (
-        Float64Array  # (n,) positions commanded last [rad]; measured ones for joints driven by force alone
-    )
+    joint_setpoint: Float64Array  # (n,) positions commanded last [rad]; measured ones for joints driven by force alone
     desired_foot_forces: Float64Array  # (2,) vertical, left and right, as the QP planned them [N]
     qp_status: int  # 0 not run, 1 optimal, 2 re-solved with torque limits, -1 infeasible (last feasible with damping)
     qp_failures: int  # since start

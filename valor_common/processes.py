@@ -23,17 +23,16 @@ class Process:
     stop_timeout: float = 5.0  # from SIGTERM to SIGKILL [s]
 
 
+# fmt: off
 PROCESSES: tuple[Process, ...] = (
-    Process("bifrostd", "bifrost.daemon", "who publishes what", (), False, 5.0, 60.0),
-    Process("comms_manager", "comms_manager", "the robot's hardware in one place", ("bifrostd",), False, 45.0, 150.0),
-    Process("motion_manager", "motion_manager", "state machines and whole-body control", ("bifrostd",), False, 70.0,
-            150.0),
-    Process("valor_ros_controller", "valor_ros_controller", "robot controller; ROS 2 to Bifrost", ("bifrostd",), True,
-            50.0, 160.0),
-    Process("footstep_converter", "footstep_converter", "footstep plans into the Motion System's", ("bifrostd",), True,
-            10.0, 130.0),
-    Process("bag_recorder", "bag_recorder", "Bifrost and ROS messages in one bag", ("bifrostd",), True, 50.0, 200.0,
-            10.0),
-)  # fmt: skip
+    #       name                    module                  description                              needs          ROS    CPU [%] memory [MiB]
+    Process("bifrostd",             "bifrost.daemon",       "who publishes what",                    (),            False,  5.0,   60.0),
+    Process("comms_manager",        "comms_manager",        "the robot's hardware in one place",     ("bifrostd",), False, 45.0,  150.0),
+    Process("motion_manager",       "motion_manager",       "state machines and whole-body control", ("bifrostd",), False, 70.0,  150.0),
+    Process("valor_ros_controller", "valor_ros_controller", "robot controller; ROS 2 to Bifrost",    ("bifrostd",), True,  50.0,  160.0),
+    Process("footstep_converter",   "footstep_converter",   "footstep plans to the Motion System",   ("bifrostd",), True,  10.0,  130.0),
+    Process("bag_recorder",         "bag_recorder",         "Bifrost and ROS messages in one bag",   ("bifrostd",), True,  50.0,  200.0, 10.0),
+)
+# fmt: on
 
 BY_NAME: dict[str, Process] = {process.name: process for process in PROCESSES}

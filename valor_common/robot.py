@@ -112,9 +112,7 @@ class SensorNoise(Table):
 class ActuatorProfile(Table):
     """How far the simulated plant is from the controller's model."""
 
-    mass_error: NonNegative = (
-        0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
-    )
+    mass_error: NonNegative = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
     friction: NonNegative = 0.0  # Coulomb friction of force-controlled and impedance-controlled joints [N·m]
     torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
     delay: NonNegative = 0.0  # of commands [s]
@@ -165,9 +163,7 @@ class RobotTables(Table):
     feet: Feet
     hands: Hands
     joints: dict[str, Joint]  # the order is that of every joint vector
-    groups: dict[
-        str, list[str]
-    ]  # left_leg, right_leg, torso, left_arm, right_arm, neck, left_hand, right_hand, …
+    groups: dict[str, list[str]]  # left_leg, right_leg, torso, left_arm, right_arm, neck, left_hand, right_hand, …
     nominal_posture: dict[str, float]  # [rad]; joints not named: 0
     nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
     arm_presets: dict[str, dict[Literal["left", "right"], dict[str, float]]]
@@ -187,9 +183,7 @@ class RobotTables(Table):
         for preset, sides in self.arm_presets.items():
             for side, posture in sides.items():
                 if missing := set(posture) - set(self.groups[f"{side}_arm"]):
-                    raise ValueError(
-                        f"arm_presets.{preset}.{side}: not joints of the {side} arm: {sorted(missing)}"
-                    )
+                    raise ValueError(f"arm_presets.{preset}.{side}: not joints of the {side} arm: {sorted(missing)}")
         return self
 
 
@@ -218,9 +212,7 @@ class RobotDescription:
         try:
             content = yaml.safe_load(file.read_text())
         except OSError as error:
-            raise ConfigurationError(
-                f"{file}: {error.strerror}; expected a robot's folder with robot.yaml"
-            ) from None
+            raise ConfigurationError(f"{file}: {error.strerror}; expected a robot's folder with robot.yaml") from None
         except yaml.YAMLError as error:
             raise ConfigurationError(f"{file}: not YAML: {' '.join(str(error).split())}") from None
         try:

@@ -1,7 +1,7 @@
 """Every Bifrost topic: name, type, publisher, nominal rate, and how the bag recorder keeps it.
 
-One of the two tables a newcomer opens first (the other is ``processes.py``). Add a line here to add a topic: the
-recorder, ``valorctl topic`` and the tables in the documentation come from it.
+One of the two tables a newcomer opens first (the other is ``processes.py``). Add a line here to add a topic:
+the recorder, ``valorctl topic`` and the tables in the documentation come from it.
 """
 
 from __future__ import annotations
@@ -37,89 +37,37 @@ class ServiceTopic:
     description: str
 
 
-PROPRIOCEPTOR = Topic(
-    "comms_manager/proprioceptor",
-    m.Proprioceptor,
-    "comms_manager",
-    CONTROL_RATE,
-    1,
-    "what the devices measured",
-)
-CLOCK = Topic("comms_manager/clock", m.ClockStatus, "comms_manager", 10.0, 1, "robot time against the wall's")
-MOTOR = Topic("motion_manager/motor", m.Motor, "motion_manager", CONTROL_RATE, 1, "commands to the motors")
-MOTION_STATE = Topic(
-    "motion_manager/motion_state",
-    m.MotionState,
-    "motion_manager",
-    CONTROL_RATE,
-    1,
-    "behavior, estimate, balance",
-)
-REJECTION = Topic(
-    "motion_manager/rejection", m.Rejection, "motion_manager", None, 1, "commands not obeyed, and why"
-)
-STEP_STATUS = Topic(
-    "motion_manager/step_status", m.StepStatus, "motion_manager", 10.0, 1, "progress of a footstep plan"
-)
-JOINT_SETPOINTS = Topic(
-    "motion_manager/joint_setpoints",
-    m.JointSetpoints,
-    "valor_ros_controller",
-    250.0,
-    1,
-    "set-points by joint name",
-)
-CONTROL_MODE = Topic(
-    "valor_ros_controller/control_mode",
-    m.ControlModeReport,
-    "valor_ros_controller",
-    10.0,
-    1,
-    "the VRC's control mode",
-)
-GROUND_TRUTH = Topic(
-    "simulation/ground_truth",
-    m.GroundTruth,
-    "comms_manager",
-    100.0,
-    1,
-    "the simulator's truth; no controller may read it",
-)
-MOTION_MANAGER_STATISTICS = Topic(
-    "motion_manager/statistics", m.Statistics, "motion_manager", 1.0, 1, "how it fares"
-)
-COMMS_MANAGER_STATISTICS = Topic(
-    "comms_manager/statistics", m.Statistics, "comms_manager", 1.0, 1, "how it fares"
-)
-VALOR_ROS_CONTROLLER_STATISTICS = Topic(
-    "valor_ros_controller/statistics", m.Statistics, "valor_ros_controller", 1.0, 1, "how it fares"
-)
-FOOTSTEP_CONVERTER_STATISTICS = Topic(
-    "footstep_converter/statistics", m.Statistics, "footstep_converter", 1.0, 1, "how it fares"
-)
-BAG_RECORDER_STATISTICS = Topic(
-    "bag_recorder/statistics", m.Statistics, "bag_recorder", 1.0, 1, "how it fares"
-)
+_COMMS, _MOTION, _VRC = "comms_manager", "motion_manager", "valor_ros_controller"
+_CONVERTER, _RECORDER = "footstep_converter", "bag_recorder"
+
+# fmt: off
+#                                     name                                 type                publisher   rate          record, description
+PROPRIOCEPTOR                 = Topic("comms_manager/proprioceptor",       m.Proprioceptor,    _COMMS,     CONTROL_RATE, 1, "what the devices measured")
+CLOCK                         = Topic("comms_manager/clock",               m.ClockStatus,      _COMMS,     10.0,         1, "robot time against the wall's")
+MOTOR                         = Topic("motion_manager/motor",              m.Motor,            _MOTION,    CONTROL_RATE, 1, "commands to the motors")
+MOTION_STATE                  = Topic("motion_manager/motion_state",       m.MotionState,      _MOTION,    CONTROL_RATE, 1, "behavior, estimate, balance")
+REJECTION                     = Topic("motion_manager/rejection",          m.Rejection,        _MOTION,    None,         1, "commands not obeyed, and why")
+STEP_STATUS                   = Topic("motion_manager/step_status",        m.StepStatus,       _MOTION,    10.0,         1, "progress of a footstep plan")
+JOINT_SETPOINTS               = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,   _VRC,       250.0,        1, "set-points by joint name")
+CONTROL_MODE                  = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,      10.0,         1, "the VRC's control mode")
+GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it")
+MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
+COMMS_MANAGER_STATISTICS      = Topic("comms_manager/statistics",          m.Statistics,       _COMMS,     1.0,          1, "how it fares")
+VALOR_ROS_CONTROLLER_STATISTICS = Topic("valor_ros_controller/statistics", m.Statistics,       _VRC,       1.0,          1, "how it fares")
+FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Statistics,       _CONVERTER, 1.0,          1, "how it fares")
+BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
 
 TOPICS: tuple[Topic, ...] = (
-    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, CONTROL_MODE, GROUND_TRUTH,
-    MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
+    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, CONTROL_MODE,
+    GROUND_TRUTH, MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
     FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
-)  # fmt: skip
+)
 
-BEHAVIOR = ServiceTopic(
-    "motion_manager/behavior", m.BehaviorRequest, m.BehaviorReply, "motion_manager", "go to a behavior"
-)
-FOOTSTEP_PLAN = ServiceTopic(
-    "motion_manager/footstep_plan",
-    m.FootstepPlanRequest,
-    m.FootstepPlanReply,
-    "motion_manager",
-    "execute, update or stop a footstep plan",
-)
-PUSH = ServiceTopic(
-    "simulation/push", m.PushRequest, m.PushReply, "comms_manager", "push the chest; simulation only"
-)
+#                            name                            request                reply                server    description
+BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,      m.BehaviorReply,      _MOTION, "go to a behavior")
+FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest,  m.FootstepPlanReply,  _MOTION, "execute, update or stop a footstep plan")
+PUSH          = ServiceTopic("simulation/push",              m.PushRequest,          m.PushReply,          _COMMS,  "push the chest; simulation only")
+# fmt: on
 
 SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, FOOTSTEP_PLAN, PUSH)
 
