@@ -19,10 +19,32 @@ build/uv/bin/uv:
 
 # The compiler and the headers are looked for first: their absence would show much later, and darker.
 $(STAMP): pyproject.toml requirements.txt $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
-	$(UV) venv --quiet --allow-existing --python '>=3.11' $(VENV)
+	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
 	$(UV) pip sync --quiet --python $(BIN)/python --require-hashes requirements.txt
 	mkdir -p build && touch $@
 
+demo: $(STAMP)
+	$(BIN)/valorctl demo
+
+# Everything that must hold: style, types, boundaries, then the tests against real processes.
+test: $(STAMP) lint
+	$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+# Numbers for docs/performance.md; never part of the tests.
+bench: $(STAMP)
+	$(BIN)/python benchmarks/ipc.py
+	$(BIN)/python benchmarks/control.py
+
+# Versions and hashes of all that is installed, from the bounds in pyproject.toml.
 lock:
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
 	  --group dev pyproject.toml -o requirements.txt
+
+clean:
+	rm -rf build $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis

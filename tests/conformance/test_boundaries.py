@@ -1,0 +1,59 @@
+"""The boundaries of the architecture: who may import whom, and which modules the processes of the table name."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from valor_common.processes import PROCESSES
+from valor_common.topics import SERVICE_TOPICS, STATISTICS, TOPICS
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+LINT_IMPORTS = [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"]
+
+
+def test_import_contracts_hold() -> None:
+    result = subprocess.run([*LINT_IMPORTS, "--no-cache"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_import_contracts_can_fail(tmp_path: Path) -> None:
+    """A Motion Manager that imports rclpy is caught: the contract is not an empty promise."""
+    for name in ("bifrost", "valor_common", "valor_analysis", "valorctl"):
+        (tmp_path / name).symlink_to(REPOSITORY / name)
+    for service in (REPOSITORY / "services").iterdir():
+        if (service / "__init__.py").is_file():
+            (tmp_path / service.name).mkdir()
+            for file in service.iterdir():
+                if file.name != "__pycache__":
+                    (tmp_path / service.name / file.name).symlink_to(file)
+    (tmp_path / "motion_manager" / "smuggled.py").write_text("import rclpy\n")
+    result = subprocess.run(
+        [*LINT_IMPORTS, "--no-cache", "--config", str(REPOSITORY / "pyproject.toml")],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "motion_manager.smuggled -> rclpy" in result.stdout
+
+
+@pytest.mark.parametrize("process", PROCESSES, ids=lambda process: process.name)
+def test_process_table_names_real_modules_and_budgets(process) -> None:  # type: ignore[no-untyped-def]
+    main = process.module if process.module.count(".") else f"{process.module}.__main__"
+    assert importlib.util.find_spec(main), f"{process.name}: no module {main}"
+    assert process.cpu_budget > 0 and process.memory_budget > 0
+    assert set(process.needs) <= {other.name for other in PROCESSES}
+
+
+def test_every_service_of_the_table_has_statistics_and_topics_name_their_publisher() -> None:
+    names = {process.name for process in PROCESSES}
+    assert set(STATISTICS) == names - {"bifrostd"}
+    assert {topic.publisher for topic in TOPICS} | {topic.server for topic in SERVICE_TOPICS} <= names
+    every = [topic.name for topic in TOPICS] + [topic.name for topic in SERVICE_TOPICS]
+    assert len(every) == len(set(every))
