@@ -128,6 +128,33 @@ class FallDetection(Table):
     dcm_margin: Positive  # of the DCM outside the support polygon [m]
 
 
+class Footsteps(Table):
+    """Which steps a plan may hold. Displacements are of a sole seen from the other foot's, heading only."""
+
+    max_steps: Annotated[int, Field(ge=1)]  # of a plan
+    max_forward: Positive  # [m]
+    max_backward: Positive  # [m]
+    min_width: Positive  # lateral distance of the soles' origins [m]
+    max_width: Positive  # [m]
+    max_up: Positive  # [m]
+    max_down: Positive  # [m]
+    max_yaw: Positive  # either way [rad]
+    max_tilt: Positive  # of the sole from level [rad]
+    max_swing_height: Positive  # [m]
+    min_swing_duration: Positive  # [s]
+    max_swing_duration: Positive  # [s]
+    min_transfer_duration: Positive  # [s]
+    max_transfer_duration: Positive  # [s]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Footsteps:
+        for what in ("width", "swing_duration", "transfer_duration"):
+            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
+            if low >= high:
+                raise ValueError(f"min_{what} {low} must be below max_{what} {high}")
+        return self
+
+
 class WholeBody(Table):
     """Weights and gains of the Whole-Body Controller: data, so that another robot can have its own."""
 
@@ -169,6 +196,7 @@ class RobotTables(Table):
     arm_presets: dict[str, dict[Literal["left", "right"], dict[str, float]]]
     actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
     fall: FallDetection
+    footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
     whole_body: WholeBody = WholeBody()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 
