@@ -1,0 +1,172 @@
+"""Walks the tables of ``behaviors``: who may go where, why not, and what the internal machines do meanwhile.
+
+No input or output here: facts about the robot come in as data, verdicts go out as data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Generic, TypeVar
+
+from motion_manager.behaviors import (
+    ATTENTION_TRANSITIONS,
+    BEHAVIOR_TRANSITIONS,
+    INTERNAL_STATES,
+    LOCOMOTION_TRANSITIONS,
+    MANIPULATION_TRANSITIONS,
+    UNAVAILABLE,
+    Attention,
+    Behavior,
+    Locomotion,
+    Manipulation,
+)
+from valor_common.errors import ValorError
+
+S = TypeVar("S", bound=StrEnum)
+
+
+class TransitionError(ValorError):
+    """A state machine was told to go where its table has no edge: an error of ours, never of a client."""
+
+
+class StateMachine(Generic[S]):
+    """A state and the table of where it may go."""
+
+    def __init__(self, transitions: Mapping[S, Mapping[S, str]], initial: S) -> None:
+        self._transitions = transitions
+        self.state = initial
+
+    def check(self, state: S) -> None:
+        """Whether the table leads from here to a state; staying is always allowed.
+
+        Raises:
+            TransitionError: the table has no such edge.
+        """
+        if state is not self.state and state not in self._transitions[self.state]:
+            raise TransitionError(f"{type(state).__name__}: no transition from {self.state} to {state}")
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What the robot's condition has against a transition; an empty text: nothing."""
+
+    not_prepared: str = ""  # Stand Prep has not finished
+    not_loaded: str = ""  # the feet do not both carry weight
+    not_upright: str = ""  # the pelvis is tilted
+
+
+GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ...]] = {
+    (Behavior.STAND_PREP, Behavior.STAND): (
+        lambda conditions: conditions.not_prepared,
+        lambda conditions: conditions.not_upright,
+        lambda conditions: conditions.not_loaded,
+    ),
+}
+"""What must hold for an edge to be taken on request: each gives the reason against it, or an empty text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The answer to a request."""
+
+    accepted: bool
+    reason: str
+
+
+class BehaviorFsm:
+    """The Behavior FSM, and the three internal FSMs that follow it.
+
+    Attributes:
+        behavior: the present one.
+        reason: of the last change.
+        changes: how often it changed.
+    """
+
+    def __init__(self, unavailable: Mapping[Locomotion, str] = UNAVAILABLE) -> None:
+        self._unavailable = unavailable
+        self._behavior = StateMachine(BEHAVIOR_TRANSITIONS, Behavior.IDLE)
+        locomotion, manipulation, attention = INTERNAL_STATES[Behavior.IDLE]
+        self._locomotion = StateMachine(LOCOMOTION_TRANSITIONS, locomotion)
+        self._manipulation = StateMachine(MANIPULATION_TRANSITIONS, manipulation)
+        self._attention = StateMachine(ATTENTION_TRANSITIONS, attention)
+        self.reason = "started"
+        self.changes = 0
+
+    @property
+    def behavior(self) -> Behavior:
+        """State of the Behavior FSM."""
+        return self._behavior.state
+
+    @property
+    def locomotion(self) -> Locomotion:
+        """State of the Locomotion FSM."""
+        return self._locomotion.state
+
+    @property
+    def manipulation(self) -> Manipulation:
+        """State of the Manipulation FSM."""
+        return self._manipulation.state
+
+    @property
+    def attention(self) -> Attention:
+        """State of the Attention FSM."""
+        return self._attention.state
+
+    def refusal(self, target: Behavior, conditions: Conditions) -> str:
+        """Why a request for a behavior would be refused now; an empty text: it would be accepted."""
+        here = self.behavior
+        if target is here:
+            return ""
+        if missing := self._unavailable.get(INTERNAL_STATES[target][0]):
+            return missing
+        if target not in BEHAVIOR_TRANSITIONS[here]:
+            allowed = ", ".join(sorted(self.reachable)) or "none"
+            return f"no transition from {here} to {target}; from here: {allowed}"
+        for guard in GUARDS.get((here, target), ()):
+            if reason := guard(conditions):
+                return reason
+        return ""
+
+    @property
+    def reachable(self) -> list[Behavior]:
+        """Behaviors that one transition leads to, as far as this build can execute them."""
+        return [
+            target
+            for target in BEHAVIOR_TRANSITIONS[self.behavior]
+            if INTERNAL_STATES[target][0] not in self._unavailable
+        ]
+
+    def request(self, target: Behavior, conditions: Conditions, origin: str) -> Verdict:
+        """Somebody asks for a behavior: go there, or say why not. Asking for the present one is accepted."""
+        if reason := self.refusal(target, conditions):
+            return Verdict(False, reason)
+        if target is self.behavior:
+            return Verdict(True, f"already in {target}")
+        self.go(target, f"requested by {origin}")
+        return Verdict(True, "")
+
+    def go(self, target: Behavior, reason: str) -> None:
+        """The Motion Manager itself changes the behavior, and the internal machines with it.
+
+        Raises:
+            TransitionError: one of the tables has no such edge; nothing has changed.
+        """
+        if target is self.behavior:
+            return
+        locomotion, manipulation, attention = INTERNAL_STATES[target]
+        self._behavior.check(target)
+        self._locomotion.check(locomotion)
+        self._manipulation.check(manipulation)
+        self._attention.check(attention)
+        self._behavior.state = target
+        self._locomotion.state = locomotion
+        self._manipulation.state = manipulation
+        self._attention.state = attention
+        self.reason = reason
+        self.changes += 1
+
+    def may_go(self, target: Behavior) -> bool:
+        """Whether the table has the edge from here."""
+        return target in BEHAVIOR_TRANSITIONS[self.behavior]
