@@ -113,7 +113,8 @@ class ActuatorProfile(Table):
     """How far the simulated plant is from the controller's model."""
 
     mass_error: NonNegative = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
-    friction: NonNegative = 0.0  # Coulomb friction of force-controlled and impedance-controlled joints [N·m]
+    friction: NonNegative = 0.0  # Coulomb friction of every joint [N·m], at most friction_share of its effort limit
+    friction_share: NonNegative = 0.02  # so that fingers and neck are not stuck in a leg's friction
     torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
     delay: NonNegative = 0.0  # of commands [s]
     backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
