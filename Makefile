@@ -6,7 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 UV := $(shell command -v uv 2>/dev/null || echo build/uv/bin/uv)
 STAMP := build/setup.stamp
-INTERFACES := $(shell find interfaces -type f -not -path '*/build/*' -not -name '*.whl')
+INTERFACES := $(shell find interfaces -type f)
+WHEELS := build/wheels/interfaces.stamp
 
 .DELETE_ON_ERROR:
 .PHONY: setup demo test lint bench lock clean
@@ -17,11 +18,25 @@ build/uv/bin/uv:
 	$(PYTHON) -m venv build/uv
 	build/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
 
-# The compiler and the headers are looked for first: their absence would show much later, and darker.
-$(STAMP): pyproject.toml requirements.txt $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
+$(STAMP): pyproject.toml requirements.txt $(WHEELS)
 	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
 	$(UV) pip sync --quiet --python $(BIN)/python --require-hashes requirements.txt
-	mkdir -p build && touch $@
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --reinstall-package valor-interfaces build/wheels/*.whl
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable .
+	touch $@
+
+# The ROS 2 message packages, compiled once. The compiler and the headers are looked for first: their absence would
+# show much later, and darker.
+$(WHEELS): $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
+	@command -v "$${CXX:-c++}" >/dev/null || \
+	  { echo "make setup: no C++ compiler; the ROS 2 message packages need one (on Debian: g++)" >&2; exit 1; }
+	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
+	@$(BIN)/python -c "import os, sysconfig as s; exit(not os.path.exists(s.get_path('include') + '/Python.h'))" || \
+	  { echo "make setup: no Python.h; the ROS 2 message packages need it (on Debian: python3-dev)" >&2; exit 1; }
+	rm -rf build/wheels
+	$(UV) build --quiet --wheel --python $(BIN)/python --require-hashes \
+	  --build-constraints interfaces/build-constraints.txt interfaces -o build/wheels
+	touch $@
 
 demo: $(STAMP)
 	$(BIN)/valorctl demo
@@ -45,6 +60,9 @@ bench: $(STAMP)
 lock:
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
 	  --group dev pyproject.toml -o requirements.txt
+	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('interfaces/pyproject.toml', 'rb'))['build-system']['requires'], 'cmake', 'ninja', sep='\n')" | \
+	  $(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --no-annotate \
+	  --python-version 3.11 - -o interfaces/build-constraints.txt
 
 clean:
 	rm -rf build $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
