@@ -18,8 +18,9 @@ macro(interface_package)
     endif()
   endforeach()
 
-  # Generators for C++ and for other middlewares registered themselves as they were found: they are left out.
-  list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:|introspection")
+  # Generators for C++ registered themselves as they were found: they are left out. Python asks for its type support
+  # by way of the dispatch alone.
+  list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp:")
   macro(rosidl_generator_py_get_typesupports result)
     set(${result} rosidl_typesupport_c)
   endmacro()

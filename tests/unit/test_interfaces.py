@@ -1,0 +1,92 @@
+"""The ROS twins agree with the Bifrost messages, and the compiled wheel with its sources."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+from ament_index_python import get_package_share_directory
+
+from bifrost import Float64Array, Message, Uint8Array
+from valor_common.messages import JointMode
+from valor_common.topics import TOPICS
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+INTERFACES = REPOSITORY / "interfaces"
+TWINS = INTERFACES / "valor_msgs" / "msg"
+HEADER = [("std_msgs/Header", "header"), ("uint64", "bifrost_sequence")]
+ROS_TYPES: dict[object, str] = {
+    bool: "bool",
+    int: "int64",
+    float: "float64",
+    str: "string",
+    list[str]: "string[]",
+    Float64Array: "float64[]",
+    Uint8Array: "uint8[]",
+}
+
+
+def twin_fields(file: Path) -> tuple[list[tuple[str, str]], dict[str, str]]:
+    """Fields (type, name) and constants (name, value) of a .msg file, in its order."""
+    fields: list[tuple[str, str]] = []
+    constants: dict[str, str] = {}
+    for line in file.read_text().splitlines():
+        words = line.partition("#")[0].split()
+        if "=" in words:
+            constants[words[1]] = words[3]
+        elif words:
+            fields.append((words[0], words[1]))
+    return fields, constants
+
+
+def published() -> list[type[Message]]:
+    return sorted({topic.type for topic in TOPICS}, key=lambda message: message.__name__)
+
+
+@pytest.mark.parametrize("message", published(), ids=lambda message: message.__name__)
+def test_every_published_message_has_a_twin_of_the_same_fields(message: type[Message]) -> None:
+    hints = get_type_hints(message, include_extras=True)
+    expected = HEADER + [(ROS_TYPES[hints[name]], name) for name in message.__struct_fields__]
+    fields, _ = twin_fields(TWINS / f"{message.__name__}.msg")
+    assert fields == expected
+
+
+def test_no_twin_has_lost_its_message() -> None:
+    assert {file.stem for file in TWINS.glob("*.msg")} == {message.__name__ for message in published()}
+
+
+def test_the_joint_modes_have_the_same_numbers() -> None:
+    _, constants = twin_fields(TWINS / "Motor.msg")
+    assert constants == {mode.name: str(mode.value) for mode in JointMode}
+
+
+@pytest.mark.parametrize("package", sorted(file.parent.name for file in INTERFACES.glob("*/package.xml")))
+def test_the_installed_wheel_is_the_one_of_these_sources(package: str) -> None:
+    installed = Path(get_package_share_directory(package))
+    sources = {
+        str(file.relative_to(INTERFACES / package)): file.read_text()
+        for folder in ("msg", "srv", "action")
+        for file in (INTERFACES / package / folder).glob("*.*")
+    }
+    assert sources
+    assert {name: (installed / name).read_text() for name in sources} == sources, "run `make setup`"
+
+
+def test_the_build_uses_the_message_packages_that_run() -> None:
+    def versions(file: Path) -> dict[str, str]:
+        return dict(re.findall(r"^(ros-[a-z0-9-]+)==([0-9.]+)", file.read_text(), re.MULTILINE))
+
+    built, runs = versions(INTERFACES / "build-constraints.txt"), versions(REPOSITORY / "requirements.txt")
+    common = built.keys() & runs.keys()
+    assert {"ros-std-msgs", "ros-rosidl-runtime-c", "ros-rosidl-typesupport-fastrtps-c"} <= common
+    assert {name: built[name] for name in common} == {name: runs[name] for name in common}
+
+
+def test_every_build_requirement_is_pinned() -> None:
+    requires = tomllib.loads((INTERFACES / "pyproject.toml").read_text())["build-system"]["requires"]
+    constraints = (INTERFACES / "build-constraints.txt").read_text()
+    for requirement in requires:
+        assert re.search(rf"^{re.escape(requirement)} ", constraints, re.MULTILINE), requirement
