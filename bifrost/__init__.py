@@ -1,1 +1,62 @@
-"""."""
+"""Bifrost: publish–subscribe and request–reply between processes that find each other by topic name alone."""
+
+from bifrost.client import Client
+from bifrost.directory import DaemonInfo
+from bifrost.errors import (
+    ConfigurationError,
+    Error,
+    NoServerError,
+    RemoteError,
+    SchemaError,
+    TimeoutError,
+)
+from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
+from bifrost.health import daemon_alive
+from bifrost.messages import (
+    Float64Array,
+    Message,
+    Schema,
+    Uint8Array,
+    codec,
+    from_builtins,
+    to_builtins,
+    type_from_schema,
+)
+from bifrost.network import Computer, Network
+from bifrost.node import Node
+from bifrost.publisher import Publisher
+from bifrost.server import Server
+from bifrost.subscriber import Received, Subscriber
+from bifrost.waiting import wait
+
+__all__ = [
+    "Client",
+    "Computer",
+    "ConfigurationError",
+    "DaemonInfo",
+    "End",
+    "Error",
+    "Float64Array",
+    "Graph",
+    "Message",
+    "Network",
+    "NoServerError",
+    "Node",
+    "Publisher",
+    "Received",
+    "RemoteError",
+    "Schema",
+    "SchemaError",
+    "Server",
+    "ServiceInfo",
+    "Subscriber",
+    "TimeoutError",
+    "TopicInfo",
+    "Uint8Array",
+    "codec",
+    "daemon_alive",
+    "from_builtins",
+    "to_builtins",
+    "type_from_schema",
+    "wait",
+]

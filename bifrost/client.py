@@ -1,0 +1,162 @@
+"""Asking a server: one call at a time, at most once, with a time limit."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from struct import error as StructError  # noqa: N812
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+import msgspec
+import zmq
+
+from bifrost import wire
+from bifrost.directory import Entry
+from bifrost.discovery import Peer
+from bifrost.errors import NoServerError, RemoteError, SchemaError, TimeoutError
+from bifrost.messages import M, Message, codec
+
+if TYPE_CHECKING:
+    from bifrost.node import Node
+
+R = TypeVar("R", bound=Message)
+_SLICE = 0.05  # while the connection is being made, the table is looked at this often [s]
+
+
+class Client(Generic[M, R]):
+    """Calls the server of one topic. Made by ``Node.client``."""
+
+    def __init__(self, node: Node, topic: str, request: type[M], reply: type[R]) -> None:
+        self.topic = topic
+        self._node = node
+        self._request_type = request
+        self._request, self._reply = codec(request), codec(reply)
+        self._hashes = (self._request.hash.hex(), self._reply.hash.hex())
+        self._prefix = topic.encode() + b"\0"
+        self._computer = wire.computer_id()
+        self._origin = node.name.encode()
+        self._request_id = secrets.randbits(63)  # no two clients, nor two runs of one, count alike
+        self._socket: zmq.Socket[bytes] | None = None
+        self._endpoint = ""
+        self._closed = False
+        self._watch = node.discovery.watch("server", topic, notify=lambda: None)
+        entry = Entry("client", topic, (self._request.name, self._reply.name), self._hashes)
+        self._key = node.discovery.announce(entry, [self._request.schema, self._reply.schema])
+
+    def call(self, request: M, timeout: float = 1.0) -> R:
+        """Send a request and wait for its reply.
+
+        The server handles it once or, when this raises, possibly not at all; it is never sent twice.
+
+        Args:
+            request: of the client's type.
+            timeout: for everything, a server that has yet to start included [s].
+
+        Raises:
+            NoServerError: nobody serves the topic.
+            TimeoutError: the server has not answered.
+            SchemaError: the server's types are others.
+            RemoteError: the server refused the request, or its handler raised.
+            TypeError: the request is of another type, or a field does not hold what its type says.
+        """
+        if type(request) is not self._request_type:
+            raise TypeError(f"{self.topic}: expected {self._request.name}, got {type(request).__name__}")
+        payload = self._request.encode(request)
+        deadline = time.monotonic() + timeout
+        socket, server = self._ready_socket(deadline, timeout)
+        self._request_id = (self._request_id + 1) % 2**63
+        header = wire.REQUEST.pack(
+            wire.VERSION, self._request.hash, self._reply.hash, self._request_id, self._computer,
+            int(deadline * 1e9), len(self._origin),
+        )  # fmt: skip
+        try:
+            socket.send(b"".join((self._prefix, header, self._origin, payload)), zmq.NOBLOCK)
+            while (remaining := deadline - time.monotonic()) > 0.0:
+                if socket.poll(int(remaining * 1000) + 1):
+                    reply = self._take(socket.recv(), server)
+                    if reply is not None:
+                        return reply
+        except zmq.Again:
+            pass
+        self._disconnect()  # what it may still hold must not be sent later
+        raise TimeoutError(f"{self.topic}: no reply from {server.node} within {timeout:g} s")
+
+    @property
+    def server(self) -> str | None:
+        """Name of the node that serves the topic now, or None."""
+        peers = self._watch.peers
+        return peers[-1].node if peers else None
+
+    def wait_for_server(self, timeout: float) -> bool:
+        """Wait until somebody serves the topic; False after ``timeout`` [s]."""
+        return self._node.discovery.wait_change(lambda: bool(self._watch.peers), timeout)
+
+    def close(self) -> None:
+        """Withdraw the client and close its socket."""
+        if not self._closed:
+            self._closed = True
+            self._node.discovery.unwatch(self._watch)
+            self._node.discovery.withdraw(self._key)
+            self._disconnect()
+
+    def _ready_socket(self, deadline: float, timeout: float) -> tuple[zmq.Socket[bytes], Peer]:
+        """A socket with a live connection to the newest server."""
+        peer: Peer | None = None
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            if not self.wait_for_server(remaining):
+                break
+            peers = self._watch.peers
+            if not peers:
+                continue
+            peer = peers[-1]
+            if peer.entry.hashes != self._hashes:
+                raise SchemaError(
+                    f"{self.topic}: {peer.node} serves {' -> '.join(peer.entry.types)} "
+                    f"({' -> '.join(peer.entry.hashes)}), {self._node.name} asks with "
+                    f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
+                )
+            socket = self._connect(peer.entry.endpoint)
+            if socket.poll(int(min(_SLICE, remaining) * 1000) + 1, zmq.POLLOUT):
+                return socket, peer
+        if peer is None:
+            raise NoServerError(f"{self.topic}: no server within {timeout:g} s")
+        self._disconnect()
+        raise TimeoutError(f"{self.topic}: no connection to {peer.node} within {timeout:g} s")
+
+    def _connect(self, endpoint: str) -> zmq.Socket[bytes]:
+        if self._socket is not None and endpoint == self._endpoint:
+            return self._socket
+        self._disconnect()
+        socket = self._node.connecting_socket(zmq.DEALER)
+        socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a server that is not there
+        socket.connect(endpoint)
+        self._socket, self._endpoint = socket, endpoint
+        return socket
+
+    def _disconnect(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket, self._endpoint = None, ""
+
+    def _take(self, frame: bytes, server: Peer) -> R | None:
+        """The reply, or None when the frame answers another call."""
+        try:
+            version, request_id, status = wire.REPLY.unpack_from(frame)
+        except StructError:
+            return None
+        if version != wire.VERSION or request_id != self._request_id:
+            return None
+        payload = memoryview(frame)[wire.REPLY.size :]
+        if status == wire.OK:
+            try:
+                return self._reply.decode(payload)
+            except (ValueError, msgspec.DecodeError, RecursionError) as error:
+                raise RemoteError(
+                    f"{self.topic}: the reply of {server.node} is no {self._reply.name}: {error}"
+                ) from None
+        text = bytes(payload).decode(errors="replace")
+        if status == wire.OTHER_SCHEMA:
+            raise SchemaError(f"{self.topic}: {text}")
+        if status == wire.OTHER_TOPIC:
+            raise NoServerError(f"{self.topic}: {server.node} serves {text} there now")
+        raise RemoteError(f"{self.topic}: {text}")

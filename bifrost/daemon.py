@@ -1,0 +1,194 @@
+"""``python -m bifrost.daemon``: the name service of one computer.
+
+It keeps the table of nodes and pushes every change to all of them at once. Data never passes through it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import signal
+import sys
+import time
+from dataclasses import dataclass
+
+import msgspec
+import psutil
+import zmq
+
+from bifrost import directory as d
+from bifrost.errors import ConfigurationError
+from bifrost.network import Network
+from bifrost.security import Gate, listening_socket
+
+_log = logging.getLogger("bifrostd")
+EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG
+
+
+@dataclass
+class _Member:
+    routing_id: bytes
+    record: d.NodeRecord
+    heard: float
+
+
+class Daemon:
+    """The table, and the socket over which nodes fill and read it."""
+
+    def __init__(self, network: Network) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._gate = Gate(self._context, network)
+        self._socket = listening_socket(self._context, zmq.ROUTER, network)
+        # A node that comes back under its routing id takes over from its dead connection.
+        self._socket.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        try:
+            self._socket.bind(network.computer.daemon)
+        except zmq.ZMQError as error:
+            self.close()
+            raise ConfigurationError(f"cannot listen on {network.computer.daemon}: {error.strerror}") from None
+        self._members: dict[int, _Member] = {}
+        self._epoch = secrets.randbits(63)
+        self._version = 0
+        self._process = psutil.Process()
+        self._process.cpu_percent()
+        self._started = time.monotonic()
+        self._last_check = self._started
+
+    def run_once(self, timeout: float) -> None:
+        """Handle what comes within ``timeout`` [s]."""
+        poller = zmq.Poller()
+        poller.register(self._gate.socket, zmq.POLLIN)
+        poller.register(self._socket, zmq.POLLIN)
+        ready = dict(poller.poll(max(0, int(timeout * 1000))))
+        if self._gate.socket in ready:
+            self._gate.answer()
+        if self._socket in ready:
+            self._receive()
+        self._drop_silent()
+
+    def _receive(self) -> None:
+        for _ in range(1000):
+            try:
+                frames = self._socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            if len(frames) != 2:
+                continue
+            try:
+                message = d.decode_from_node(frames[1])
+            except (msgspec.DecodeError, RecursionError):
+                continue  # from a member, but of another version: unheard, it is dropped
+            self._handle(frames[0], message)
+
+    def _handle(self, sender: bytes, message: d.FromNode) -> None:
+        now = time.monotonic()
+        if isinstance(message, d.Heartbeat):
+            member = self._members.get(message.incarnation)
+            if member is None:
+                self._send(sender, d.Unknown(self._epoch))
+                return
+            member.heard = now
+            member.routing_id = sender
+            if (message.epoch, message.version) == (self._epoch, self._version):
+                self._send(sender, d.Alive(self._epoch, self._version))
+            else:
+                self._send_table(sender)
+        elif isinstance(message, d.Register):
+            known = self._members.get(message.node.incarnation)
+            self._members[message.node.incarnation] = _Member(sender, message.node, now)
+            if known is None or known.record != message.node:
+                self._version += 1
+                self._broadcast(d.Update(self._epoch, self._version, message.node), but=sender)
+            self._send_table(sender)
+        elif isinstance(message, d.Leave):
+            self._drop(message.incarnation)
+        else:
+            self._send(sender, self._info())
+
+    def _drop(self, incarnation: int) -> None:
+        if self._members.pop(incarnation, None) is not None:
+            self._version += 1
+            self._broadcast(d.Gone(self._epoch, self._version, incarnation))
+
+    def _drop_silent(self) -> None:
+        now = time.monotonic()
+        if now - self._last_check > d.HEARTBEAT_PERIOD:
+            # We were held up ourselves: everybody gets another chance to be heard.
+            for member in self._members.values():
+                member.heard += now - self._last_check
+        self._last_check = now
+        silent = [i for i, member in self._members.items() if now - member.heard > d.NODE_TIMEOUT]
+        for incarnation in silent:
+            record = self._members[incarnation].record
+            _log.warning("node %s (pid %d) is silent: dropped", record.name, record.pid)
+            self._drop(incarnation)
+
+    def _info(self) -> d.DaemonInfo:
+        return d.DaemonInfo(
+            pid=os.getpid(),
+            cpu_percent=self._process.cpu_percent(),
+            memory_mib=self._process.memory_info().rss / 2**20,
+            uptime=time.monotonic() - self._started,
+            nodes=len(self._members),
+        )
+
+    def _send_table(self, to: bytes) -> None:
+        self._send(to, d.Table(self._epoch, self._version, [m.record for m in self._members.values()]))
+
+    def _broadcast(self, message: d.FromDaemon, but: bytes | None = None) -> None:
+        content = d.encode(message)
+        for member in self._members.values():
+            if member.routing_id != but:
+                self._send_bytes(member.routing_id, content)
+
+    def _send(self, to: bytes, message: d.FromDaemon) -> None:
+        self._send_bytes(to, d.encode(message))
+
+    def _send_bytes(self, to: bytes, content: bytes) -> None:
+        try:
+            self._socket.send_multipart([to, content], zmq.NOBLOCK)
+        except zmq.ZMQError:
+            _log.debug("a node is not reachable")  # it asks for the table when it is back
+
+    def close(self) -> None:
+        """Give back the port."""
+        self._gate.close()
+        self._socket.close()
+        self._context.term()
+
+
+def main() -> int:
+    """Run the daemon of this computer until SIGTERM or SIGINT."""
+    logging.basicConfig(
+        level=logging.INFO,
+        format="%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s",
+        datefmt="%H:%M:%S",
+        stream=sys.stderr,
+    )
+    stopping = False
+
+    def stop(_signum: int, _frame: object) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    try:
+        network = Network.from_environment()
+        daemon = Daemon(network)
+    except ConfigurationError as error:
+        _log.error("%s", error)
+        return EXIT_CONFIGURATION
+    _log.info("listening on %s", network.computer.daemon)
+    try:
+        while not stopping:
+            daemon.run_once(0.5)
+    finally:
+        daemon.close()
+    _log.info("stopped")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

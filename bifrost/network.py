@@ -1,0 +1,216 @@
+"""The network: which computers there are, where their daemons listen, and the keys that admit a node.
+
+The network file is JSON; the keys folder holds one CURVE key pair for everything that listens (``server.key``) and
+one for everything that connects (``client.key``). Whoever can read the folder is a member; nobody else gets a byte.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import socket
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zmq
+
+from bifrost.errors import ConfigurationError
+
+_VERSION = 1
+_KEY_LENGTH = 40  # Z85 text of a CURVE key
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
+# Below Linux' ephemeral ports, so that no outgoing connection takes the daemon's port while it is away.
+_DAEMON_PORTS = range(20000, 32768)
+
+
+@dataclass(frozen=True)
+class Computer:
+    """One computer of the network and where its daemon listens."""
+
+    name: str
+    host: str
+    port: int
+
+    @property
+    def daemon(self) -> str:
+        """The daemon's ZeroMQ endpoint."""
+        return f"tcp://{self.host}:{self.port}"
+
+
+@dataclass(frozen=True)
+class KeyPair:
+    """A CURVE key pair as Z85 text."""
+
+    public: bytes
+    secret: bytes = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Network:
+    """Everything a node needs to join.
+
+    Attributes:
+        computers: all of the network.
+        computer: the one that this process runs on.
+        server: the keys of whatever listens.
+        client: the keys of whatever connects.
+    """
+
+    computers: tuple[Computer, ...]
+    computer: Computer
+    server: KeyPair
+    client: KeyPair
+
+    @classmethod
+    def load(cls, network_file: Path | str, keys_folder: Path | str, computer: str | None = None) -> Network:
+        """Read a network file and its keys.
+
+        Args:
+            network_file: JSON, as ``create`` writes it.
+            keys_folder: holds ``server.key`` and ``client.key``.
+            computer: the name of the computer that this process runs on; else ``BIFROST_COMPUTER``; may be left out
+                when there is only one.
+
+        Raises:
+            ConfigurationError: a file is missing, unreadable to us, readable to others, or not what is expected.
+        """
+        computers = _read_computers(Path(network_file))
+        name = computer or os.environ.get("BIFROST_COMPUTER")
+        if name is None and len(computers) > 1:
+            raise ConfigurationError(
+                f"{network_file}: lists {len(computers)} computers; set BIFROST_COMPUTER to this one's name"
+            )
+        ours = computers[0] if name is None else next((c for c in computers if c.name == name), None)
+        if ours is None:
+            raise ConfigurationError(
+                f"{network_file}: no computer {name!r}; expected one of {', '.join(c.name for c in computers)}"
+            )
+        keys = Path(keys_folder)
+        if not keys.is_dir():
+            raise ConfigurationError(f"{keys}: no such folder of Bifrost keys")
+        return cls(computers, ours, _read_keys(keys / "server.key"), _read_keys(keys / "client.key"))
+
+    @classmethod
+    def create(
+        cls, network_file: Path | str, keys_folder: Path | str, host: str = "127.0.0.1", port: int = 0
+    ) -> Network:
+        """Write the network file of one computer, and fresh keys.
+
+        Args:
+            network_file: overwritten when it exists; its folder is made.
+            keys_folder: made with mode 0700; keys in it are overwritten, mode 0600.
+            host: the address of this computer's interface that everything listens on.
+            port: of the daemon; 0: a free one.
+
+        Raises:
+            ConfigurationError: the files cannot be written.
+        """
+        network_file, keys_folder = Path(network_file), Path(keys_folder)
+        computer = Computer("localhost", host, port or _free_port(host))
+        content = {"version": _VERSION, "computers": [{"name": computer.name, "host": host, "port": computer.port}]}
+        pairs = [KeyPair(*zmq.curve_keypair()) for _ in range(2)]
+        try:
+            network_file.parent.mkdir(parents=True, exist_ok=True)
+            keys_folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            keys_folder.chmod(0o700)
+            for name, pair in zip(("server.key", "client.key"), pairs, strict=True):
+                _write_private(keys_folder / name, pair.public + b"\n" + pair.secret + b"\n")
+            _write_private(network_file, json.dumps(content, indent=2).encode() + b"\n")
+        except OSError as error:
+            raise ConfigurationError(f"{error.filename or keys_folder}: {error.strerror}") from None
+        return cls((computer,), computer, *pairs)
+
+    @classmethod
+    def from_environment(cls) -> Network:
+        """The network that ``BIFROST_NETWORK`` (the file) and ``BIFROST_KEYS`` (the folder) name.
+
+        Raises:
+            ConfigurationError: a variable is not set, or as ``load``.
+        """
+        values = []
+        for variable, what in (("BIFROST_NETWORK", "the network file"), ("BIFROST_KEYS", "the keys folder")):
+            value = os.environ.get(variable)
+            if not value:
+                raise ConfigurationError(f"{variable} is not set: expected the path of {what}")
+            values.append(value)
+        return cls.load(*values)
+
+
+def _free_port(host: str) -> int:
+    chooser = random.SystemRandom()
+    for _ in range(200):
+        port = chooser.choice(_DAEMON_PORTS)
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            try:
+                probe.bind((host.strip("[]"), port))
+            except OSError as error:
+                last = error
+                continue
+            return port
+    raise ConfigurationError(f"no free port for the daemon on {host}: {last.strerror}")
+
+
+def _write_private(path: Path, content: bytes) -> None:
+    """Write through a new file of mode 0600, so that no reader ever sees half of it or a looser mode."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)
+    temporary.replace(path)
+
+
+def _read_computers(path: Path) -> tuple[Computer, ...]:
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such network file") from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: expected JSON: {error}") from None
+    if not isinstance(content, dict) or content.get("version") != _VERSION:
+        raise ConfigurationError(f"{path}: version: expected {_VERSION}")
+    entries = content.get("computers")
+    if not isinstance(entries, list) or not entries:
+        raise ConfigurationError(f"{path}: computers: expected a list of at least one computer")
+    computers = tuple(_read_computer(path, index, entry) for index, entry in enumerate(entries))
+    if len({computer.name for computer in computers}) != len(computers):
+        raise ConfigurationError(f"{path}: computers: expected names that differ")
+    return computers
+
+
+def _read_computer(path: Path, index: int, entry: object) -> Computer:
+    where = f"{path}: computers[{index}]"
+    if not isinstance(entry, dict):
+        raise ConfigurationError(f"{where}: expected an object with name, host and port")
+    name, host, port = entry.get("name"), entry.get("host"), entry.get("port")
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise ConfigurationError(f"{where}.name: expected letters, digits, _, . and -, got {name!r}")
+    if not isinstance(host, str) or not host:
+        raise ConfigurationError(f"{where}.host: expected an address, got {host!r}")
+    if not isinstance(port, int) or isinstance(port, bool) or not 0 < port < 2**16:
+        raise ConfigurationError(f"{where}.port: expected 1 to 65535, got {port!r}")
+    return Computer(name, host, port)
+
+
+def _read_keys(path: Path) -> KeyPair:
+    try:
+        mode = path.stat().st_mode & 0o777
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such Bifrost key") from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}") from None
+    if mode & 0o077:
+        raise ConfigurationError(f"{path}: mode {mode:04o}: expected 0600, readable by its owner alone")
+    lines = content.split()
+    if [len(line) for line in lines] != [_KEY_LENGTH, _KEY_LENGTH]:
+        raise ConfigurationError(f"{path}: expected a public and a secret key of {_KEY_LENGTH} characters each")
+    try:
+        if zmq.curve_public(lines[1]) != lines[0]:
+            raise ValueError
+    except (ValueError, zmq.ZMQError):
+        raise ConfigurationError(f"{path}: expected a CURVE key pair; these keys do not belong together") from None
+    return KeyPair(lines[0], lines[1])

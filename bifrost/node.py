@@ -1,0 +1,164 @@
+"""A node: a process' place in the network."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol, Self, TypeVar
+
+import zmq
+
+from bifrost import security, wire
+from bifrost.client import Client
+from bifrost.discovery import WAKE_ENDPOINT, Discovery
+from bifrost.errors import Error, TimeoutError
+from bifrost.graph import Graph
+from bifrost.messages import M, Message
+from bifrost.network import Network
+from bifrost.publisher import Outlet, Publisher
+from bifrost.server import Server
+from bifrost.subscriber import Subscriber
+
+R = TypeVar("R", bound=Message)
+_NAME = re.compile(r"[A-Za-z0-9_.~-]+(/[A-Za-z0-9_.~-]+)*")
+
+
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+class Node:
+    """Publishes, subscribes, serves and calls under one name. A context manager.
+
+    It needs no daemon to start: it is found, and finds others, as soon as one runs.
+    """
+
+    def __init__(self, name: str, network: Network | None = None) -> None:
+        """Join a network.
+
+        Args:
+            name: what others see as origin. Two nodes may share one.
+            network: else ``Network.from_environment()``.
+
+        Raises:
+            ConfigurationError: the network file or the keys are missing or wrong.
+            ValueError: no name for a node.
+        """
+        _check_name("node", name)
+        self.name = name
+        self.network = network or Network.from_environment()
+        self._lock = threading.Lock()
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._children: list[_Closable] = []
+        self._outlet: Outlet | None = None
+        self._closed = False
+        self.discovery = Discovery(self._context, self.network, name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def publisher(self, topic: str, message_type: type[M]) -> Publisher[M]:
+        """Publish on a topic.
+
+        Raises:
+            ValueError: no name for a topic, or this node publishes it already.
+            TypeError: a field of the type is none that a message can have.
+        """
+        self._check(topic)
+        with self._lock:
+            if self._outlet is None:
+                self._outlet = Outlet(self.listening_socket(zmq.PUB), self.network.computer.host)
+            outlet = self._outlet
+        return self._keep(Publisher(self, outlet, topic, message_type))
+
+    def subscriber(self, topic: str, message_type: type[M], queue: int | None = None) -> Subscriber[M]:
+        """Subscribe to a topic.
+
+        Args:
+            topic: its name; the publisher may come before or after.
+            message_type: publishers of another are refused, see ``Subscriber.mismatches``.
+            queue: None: the newest message only. Otherwise every message, this many held at least; what is more is
+                dropped, newest first, and counted.
+        """
+        self._check(topic)
+        if queue is not None and queue < 1:
+            raise ValueError(f"{topic}: queue: expected at least 1, got {queue}")
+        return self._keep(Subscriber(self, topic, message_type, queue))
+
+    def subscribe_any(self, topic: str, queue: int | None = None) -> Subscriber[Message]:
+        """Subscribe to a topic whatever its type: decoded by the schema that its publisher has registered."""
+        self._check(topic)
+        return self._keep(Subscriber[Message](self, topic, None, queue))
+
+    def server(self, topic: str, request: type[M], reply: type[R], handler: Callable[[M, str], R]) -> Server[M, R]:
+        """Serve a topic: ``handler(request, origin)`` returns the reply, called from ``Server.serve``."""
+        self._check(topic)
+        return self._keep(Server(self, topic, request, reply, handler))
+
+    def client(self, topic: str, request: type[M], reply: type[R]) -> Client[M, R]:
+        """Call the server of a topic."""
+        self._check(topic)
+        return self._keep(Client(self, topic, request, reply))
+
+    def graph(self, timeout: float = 2.0) -> Graph:
+        """Who publishes, subscribes to, serves and calls what now.
+
+        Raises:
+            TimeoutError: the daemon has not answered within ``timeout`` [s].
+        """
+        if not self.discovery.wait_change(lambda: self.discovery.registered, timeout):
+            raise TimeoutError(f"bifrostd at {self.network.computer.daemon} has not answered within {timeout:g} s")
+        return Graph.from_records(self.discovery.records())
+
+    def close(self) -> None:
+        """Leave the network; close all that was made of this node. May be called twice.
+
+        What was made of it must not be in use by another thread.
+        """
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            children = list(self._children)
+        for child in children:
+            child.close()
+        self.discovery.close()
+        if self._outlet is not None:
+            self._outlet.socket.close()
+        self._context.term()
+
+    # --- for what is made of a node -------------------------------------------------------------------------------
+
+    def listening_socket(self, kind: int) -> zmq.Socket[bytes]:
+        """A socket to bind."""
+        return security.listening_socket(self._context, kind, self.network)
+
+    def connecting_socket(self, kind: int) -> zmq.Socket[bytes]:
+        """A socket to connect."""
+        return security.connecting_socket(self._context, kind, self.network)
+
+    def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
+        """Let the discovery thread wake a subscriber: it publishes the bare topic when its publishers change."""
+        socket.connect(WAKE_ENDPOINT)
+
+    def _check(self, topic: str) -> None:
+        if self._closed:
+            raise Error(f"node {self.name} is closed")
+        _check_name("topic", topic)
+
+    def _keep(self, child: Any) -> Any:
+        with self._lock:
+            self._children.append(child)
+        return child
+
+
+def _check_name(what: str, name: str) -> None:
+    if not _NAME.fullmatch(name) or len(name) > wire.MAX_NAME:
+        raise ValueError(
+            f"{what} name {name!r}: expected letters, digits, _, ., ~ and -, in parts separated by /, "
+            f"at most {wire.MAX_NAME}"
+        )

@@ -1,0 +1,77 @@
+"""What every socket is given: CURVE, the gate that admits one client key, heartbeats, limits.
+
+Nothing is ever bound without CURVE: it keeps strangers out, and libzmq 4.3.5 aborts the process on certain bytes sent
+to a socket without it.
+"""
+
+from __future__ import annotations
+
+import zmq
+from zmq.utils import z85
+
+from bifrost.network import Network
+from bifrost.wire import MAX_MESSAGE_SIZE
+
+_ZAP_ENDPOINT = "inproc://zeromq.zap.01"  # fixed by ZeroMQ RFC 27
+_ZAP_DOMAIN = b"bifrost"
+_CURVE_KEY_LENGTH = 32
+
+
+def _common(socket: zmq.Socket[bytes]) -> None:
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_SIZE)
+    socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
+    # A peer that is gone without a word is let go after HEARTBEAT_TIMEOUT.
+    socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 5000)
+    socket.setsockopt(zmq.RECONNECT_IVL, 50)
+    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
+
+
+def listening_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network: Network) -> zmq.Socket[bytes]:
+    """A socket to bind: admits holders of the network's client key alone."""
+    socket = context.socket(kind)
+    _common(socket)
+    socket.setsockopt(zmq.CURVE_SERVER, 1)
+    socket.setsockopt(zmq.CURVE_SECRETKEY, network.server.secret)
+    socket.setsockopt(zmq.ZAP_DOMAIN, _ZAP_DOMAIN)
+    socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # no gate, no admittance
+    return socket
+
+
+def connecting_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network: Network) -> zmq.Socket[bytes]:
+    """A socket to connect: talks to holders of the network's server key alone."""
+    socket = context.socket(kind)
+    _common(socket)
+    socket.setsockopt(zmq.CURVE_SERVERKEY, network.server.public)
+    socket.setsockopt(zmq.CURVE_PUBLICKEY, network.client.public)
+    socket.setsockopt(zmq.CURVE_SECRETKEY, network.client.secret)
+    return socket
+
+
+class Gate:
+    """Answers libzmq's question whether a peer's key is admitted (ZAP, ZeroMQ RFC 27). One a context."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network) -> None:
+        self.socket = context.socket(zmq.REP)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.bind(_ZAP_ENDPOINT)
+        self._admitted = z85.decode(network.client.public)
+
+    def answer(self) -> None:
+        """Answer the question that waits."""
+        request = self.socket.recv_multipart()
+        request_id = request[1] if len(request) > 1 else b""
+        admitted = (
+            len(request) == 7
+            and request[0] == b"1.0"
+            and request[5] == b"CURVE"
+            and len(request[6]) == _CURVE_KEY_LENGTH
+            and request[6] == self._admitted
+        )
+        status, text = (b"200", b"OK") if admitted else (b"400", b"not a member of this network")
+        self.socket.send_multipart([b"1.0", request_id, status, text, b"member" if admitted else b"", b""])
+
+    def close(self) -> None:
+        """Close the socket; from now on nobody is admitted."""
+        self.socket.close()

@@ -1,0 +1,133 @@
+"""Serving requests: in the caller's own loop, one socket a server."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from struct import error as StructError  # noqa: N812
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+import msgspec
+import zmq
+
+from bifrost import wire
+from bifrost.directory import Entry
+from bifrost.messages import M, Message, codec
+
+if TYPE_CHECKING:
+    from bifrost.node import Node
+
+_log = logging.getLogger("bifrost")
+R = TypeVar("R", bound=Message)
+
+
+class Server(Generic[M, R]):
+    """Answers the requests of one topic. Made by ``Node.server``.
+
+    Attributes:
+        rejected: requests refused since start: of another schema, not decodable, or older than their client waits.
+    """
+
+    def __init__(
+        self, node: Node, topic: str, request: type[M], reply: type[R], handler: Callable[[M, str], R]
+    ) -> None:
+        self.topic = topic
+        self.rejected = 0
+        self._node = node
+        self._request, self._reply = codec(request), codec(reply)
+        self._reply_type = reply
+        self._handler = handler
+        self._prefix = topic.encode() + b"\0"
+        self._computer = wire.computer_id()
+        self._closed = False
+        self.socket = node.listening_socket(zmq.ROUTER)
+        self.socket.setsockopt(zmq.LINGER, 100)  # the last reply still leaves when the node closes
+        self.socket.bind(f"tcp://{node.network.computer.host}:*")
+        entry = Entry(
+            "server", topic, (self._request.name, self._reply.name),
+            (self._request.hash.hex(), self._reply.hash.hex()), self.socket.getsockopt_string(zmq.LAST_ENDPOINT),
+        )  # fmt: skip
+        self._key = node.discovery.announce(entry, [self._request.schema, self._reply.schema])
+
+    def serve(self) -> int:
+        """Answer all requests that wait, in this thread; never blocks. Returns how many it answered.
+
+        What the handler raises goes to the client as a RemoteError, and to the log.
+        """
+        answered = 0
+        while True:
+            try:
+                frames = self.socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return answered
+            if len(frames) != 2:
+                self.rejected += 1
+                continue
+            answer = self._answer(frames[1])
+            if answer is not None:
+                try:
+                    self.socket.send_multipart((frames[0], answer), zmq.NOBLOCK)
+                except zmq.ZMQError:
+                    _log.warning("%s: a client went away before its reply", self.topic)
+                answered += 1
+
+    def ready(self) -> bool:
+        """Whether a request waits. Never blocks."""
+        return bool(self.socket.getsockopt(zmq.EVENTS) & zmq.POLLIN)
+
+    def fileno(self) -> int:
+        """A descriptor for an event loop; call ``serve`` after it becomes readable and before the first wait."""
+        return int(self.socket.getsockopt(zmq.FD))
+
+    def close(self) -> None:
+        """Withdraw the topic and close the socket."""
+        if not self._closed:
+            self._closed = True
+            self._node.discovery.withdraw(self._key)
+            self.socket.close()
+
+    def _answer(self, frame: bytes) -> bytes | None:
+        topic, nul, rest = frame.partition(b"\0")
+        try:
+            version, request_hash, reply_hash, request_id, computer, deadline, length = wire.REQUEST.unpack_from(rest)
+        except StructError:
+            self.rejected += 1
+            return None
+        if version != wire.VERSION or not nul:
+            self.rejected += 1
+            return None
+        start = wire.REQUEST.size
+        origin = rest[start : start + length].decode(errors="replace")
+        payload = memoryview(rest)[start + length :]
+        if topic + nul != self._prefix:
+            return self._refuse(request_id, wire.OTHER_TOPIC, self.topic)
+        if (request_hash, reply_hash) != (self._request.hash, self._reply.hash):
+            return self._refuse(
+                request_id,
+                wire.OTHER_SCHEMA,
+                f"{self._node.name} serves {self._request.name} ({self._request.hash.hex()}) -> "
+                f"{self._reply.name} ({self._reply.hash.hex()}), {origin} asked with "
+                f"({request_hash.hex()}) -> ({reply_hash.hex()})",
+            )
+        if computer == self._computer and time.monotonic_ns() > deadline:
+            self.rejected += 1  # its client has given up: doing it now would surprise everybody
+            return None
+        try:
+            request = self._request.decode(payload)
+        except (ValueError, msgspec.DecodeError, RecursionError) as error:
+            return self._refuse(request_id, wire.REFUSED, f"not a {self._request.name}: {error}")
+        try:
+            reply = self._handler(request, origin)
+            if type(reply) is not self._reply_type:
+                raise TypeError(f"the handler returned {type(reply).__name__}, not {self._reply.name}")
+            content = self._reply.encode(reply)
+        except Exception as error:
+            _log.exception("%s: the handler raised on a request of %s", self.topic, origin)
+            text = " ".join(f"{type(error).__name__}: {error}".split())
+            return wire.REPLY.pack(wire.VERSION, request_id, wire.REFUSED) + text.encode()
+        return wire.REPLY.pack(wire.VERSION, request_id, wire.OK) + content
+
+    def _refuse(self, request_id: int, status: int, text: str) -> bytes:
+        self.rejected += 1
+        return wire.REPLY.pack(wire.VERSION, request_id, status) + text.encode()
