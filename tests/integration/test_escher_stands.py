@@ -1,0 +1,190 @@
+"""ESCHER stands, reaches and is pushed: the whole system, as a person and a ROS 2 client meet it.
+
+The plant's masses are 5 % off the controller's model, sensors are noisy, torques late (profile ``hardware``), in both
+clocks and from three seeds.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bifrost
+from tests.system import RosClient, System, leftovers, running
+from valor_common.instance import Instance
+from valor_common.messages import GroundTruth, MotionState, Proprioceptor
+from valor_common.robot import RobotDescription
+from valor_common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+
+SERVICES = {
+    "bifrostd", "motion_manager", "comms_manager", "valor_ros_controller", "footstep_converter", "bag_recorder",
+}  # fmt: skip
+# Code and flag values of the public interfaces (control_msgs, vigir_humanoid_control_msgs).
+SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS = 0, -1, -2
+MODE_ACCEPTED, MODE_REJECTED, EXTERNAL_CHANGE = 1, 2, 32
+
+CASES = [
+    # clock, seed, seconds of Stand
+    ("lockstep", 0, 60.0),
+    ("lockstep", 1, 15.0),
+    ("lockstep", 2, 15.0),
+    ("realtime", 0, 15.0),
+    ("realtime", 1, 60.0),
+    ("realtime", 2, 15.0),
+]
+
+
+@dataclass
+class Case:
+    """A running system, a ROS client of it and a Bifrost node that watches it."""
+
+    system: System
+    home: Path
+    ros: RosClient
+    node: bifrost.Node
+    robot: RobotDescription
+    stand_time: float
+
+    def watch(self, seconds: float) -> tuple[list[MotionState], list[Proprioceptor], list[GroundTruth]]:
+        """All that is published in a stretch of robot time [s]."""
+        states = self.node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
+        senses = self.node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=5000)
+        truths = self.node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=5000)
+        kept: tuple[list[MotionState], list[Proprioceptor], list[GroundTruth]] = ([], [], [])
+        deadline = time.monotonic() + 10.0 + 6.0 * seconds
+        while time.monotonic() < deadline:
+            bifrost.wait([states], timeout=0.5)
+            for subscriber, messages in zip((states, senses, truths), kept, strict=True):
+                messages.extend(received.message for received in subscriber.drain())
+            if kept[0] and kept[0][-1].time - kept[0][0].time >= seconds * 1e9:
+                break
+            time.sleep(0.05)  # let a batch gather
+        else:
+            raise AssertionError(f"{seconds:g} s of robot time did not pass; {len(kept[0])} motion states came")
+        for subscriber in (states, senses, truths):
+            subscriber.close()
+        return kept
+
+    def arm_goal(self, joints: dict[str, float], after: float = 2.5) -> list[tuple[float, dict[str, float]]]:
+        """A trajectory of one point that names every joint of the right arm."""
+        posture = {name: joints.get(name, 0.0) for name in self.robot.tables.groups["right_arm"]}
+        return [(after, posture | {name: value for name, value in joints.items() if name not in posture})]
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: f"{case[0]}-seed{case[1]}")
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
+    clock, seed, stand_time = request.param
+    home = tmp_path_factory.mktemp("v")
+    options = ("--clock", clock, "--seed", str(seed), "--actuators", "hardware")
+    with running(f"stands-{clock}-{seed}", home, *options) as system:
+        ros = RosClient(system.join())
+        instance = Instance(system.name, home)
+        network = bifrost.Network.load(instance.network_file, instance.keys)
+        with bifrost.Node("acceptance", network=network) as node:
+            yield Case(system, home, ros, node, RobotDescription.load(instance.settings().robot), stand_time)
+        ros.close()
+    assert leftovers(system.environment, home, system.name) == []
+
+
+def test_every_service_is_ready_and_the_robot_stands(case: Case) -> None:
+    status = case.system.status()
+    assert {service["name"]: service["state"] for service in status["services"]} == dict.fromkeys(SERVICES, "ready")
+    assert status["behavior"] == "stand" and status["control_mode"] == "stand"
+    assert status["robot"] == "escher" and status["profile"] == "sim"
+    assert status["clock"]["mode"] in ("lockstep", "realtime")
+    assert all(service["restarts"] == 0 for service in status["services"])
+
+
+def test_stands_still(case: Case) -> None:
+    states, senses, truths = case.watch(case.stand_time)
+    assert {state.behavior for state in states} == {"stand"}
+    estimated = np.array([state.pelvis_position_in_odom[2] for state in states])
+    true = np.array([truth.pelvis_position_in_world for truth in truths])
+    assert np.ptp(estimated) < 0.01
+    assert np.all(np.ptp(true, axis=0) < 0.01), "the true pelvis moved"
+    positions = np.array([sense.joint_position for sense in senses])
+    assert np.all(positions > case.robot.lower) and np.all(positions < case.robot.upper)
+    efforts = np.array([sense.joint_effort for sense in senses])
+    assert np.all(np.abs(efforts) < 1.05 * case.robot.effort_limit + 1.0)  # measured with noise
+    assert states[-1].qp_failures == 0
+
+
+def test_arm_goals_are_refused_in_stand(case: Case) -> None:
+    before = case.ros.joint_positions()
+    answer = case.ros.follow("right_arm", case.arm_goal({"r_shoulder_pitch": -0.5}))
+    assert answer.result.error_code == INVALID_GOAL
+    assert "stand" in answer.result.error_string and "right_arm" in answer.result.error_string
+    assert_arm_unmoved(case, before)
+
+
+def test_stand_manipulate_and_bad_goals(case: Case) -> None:
+    status = case.ros.change_mode("stand_manipulate")
+    assert status.status == MODE_ACCEPTED and status.current_control_mode == "stand_manipulate"
+    before = case.ros.joint_positions()
+    unknown = case.ros.follow("right_arm", case.arm_goal({"r_tail_wag": 0.1}))
+    assert unknown.result.error_code == INVALID_JOINTS and "r_tail_wag" in unknown.result.error_string
+    nan = case.ros.follow("right_arm", case.arm_goal({"r_elbow_pitch": math.nan}))
+    assert nan.result.error_code == INVALID_GOAL and "r_elbow_pitch" in nan.result.error_string
+    assert_arm_unmoved(case, before)
+
+
+def test_arm_and_neck_goals_succeed(case: Case) -> None:
+    target = case.robot.tables.arm_presets["forward"]["right"]
+    answer = case.ros.follow("right_arm", case.arm_goal(dict(target), after=4.0))
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    neck = {"neck_yaw": 0.5, "neck_pitch": 0.2}
+    answer = case.ros.follow("neck", [(2.0, neck)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    states, senses, _ = case.watch(1.0)
+    assert {state.behavior for state in states} == {"stand_manipulate"}
+    settled = np.mean([sense.joint_position for sense in senses], axis=0)
+    errors = {name: abs(settled[case.robot.index[name]] - value) for name, value in (dict(target) | neck).items()}
+    assert max(errors.values()) < 0.02, errors
+
+
+def test_a_small_push_does_not_topple_it(case: Case) -> None:
+    status = case.ros.change_mode("stand")
+    assert status.status == MODE_ACCEPTED and status.current_control_mode == "stand"
+    for push in (("15", "0", "0"), ("-15", "0", "0"), ("0", "15", "0")):
+        case.system.valorctl("push", *push)
+        states, _, _ = case.watch(3.0)
+        assert {state.behavior for state in states} == {"stand"}, push
+    speed = np.abs([state.pelvis_linear_velocity_in_odom for state in states[-250:]])
+    assert speed.max() < 0.1
+
+
+def test_a_large_push_does_and_ros_hears_of_it(case: Case) -> None:
+    subscriber = case.node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
+    case.ros.reports.clear()
+    case.system.valorctl("push", "80", "0", "0")
+    fell_at = None
+    deadline = time.monotonic() + 30.0
+    while fell_at is None and time.monotonic() < deadline:
+        received = subscriber.receive(timeout=1.0)
+        if received and received.message.behavior == "fall":
+            fell_at = received.stamp * 1e-9  # when the Motion Manager said so, monotonic
+    assert fell_at is not None, "80 N·s did not topple it"
+    reports: list[tuple[float, object]] = []
+    while not reports and time.monotonic() < deadline:
+        reports = [(at, report) for at, report in case.ros.reports if report.status & EXTERNAL_CHANGE]
+        time.sleep(0.01)
+    assert reports, "no external change reported"
+    at, report = reports[0]
+    assert report.current_control_mode == "none"
+    assert at - fell_at < 0.2
+    assert case.system.status()["behavior"] == "fall"
+
+
+def assert_arm_unmoved(case: Case, before: dict[str, float]) -> None:
+    """Every joint of the right arm is where it was, over half a second of robot time."""
+    _, senses, _ = case.watch(0.5)
+    for name in case.robot.tables.groups["right_arm"]:
+        index = case.robot.index[name]
+        moved = max(abs(sense.joint_position[index] - before[name]) for sense in senses)
+        assert moved < 0.02, f"{name} moved by {moved:.3f} rad"
