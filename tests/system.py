@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-T = TypeVar("T")
+TRAJECTORY_ACTION = "/trajectory_controllers/{}_traj_controller/follow_joint_trajectory"
+Point = tuple[float, Mapping[str, float]]  # time from start [s], joint → position [rad]
 VALORCTL = Path(sys.executable).with_name("valorctl")
 
 
@@ -101,11 +101,7 @@ class RosClient:
             self.node, ChangeControlMode, "/mode_controllers/control_mode_controller/change_control_mode"
         )
         self._trajectory = {
-            name: ActionClient(
-                self.node,
-                FollowJointTrajectory,
-                f"/trajectory_controllers/{name}_traj_controller/follow_joint_trajectory",
-            )
+            name: ActionClient(self.node, FollowJointTrajectory, TRAJECTORY_ACTION.format(name))
             for name in ("left_arm", "right_arm", "neck")
         }
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -130,10 +126,8 @@ class RosClient:
 
         return self._run(self._mode, ChangeControlMode.Goal(mode_request=mode), timeout).result.result
 
-    def follow(
-        self, controller: str, points: Sequence[tuple[float, Mapping[str, float]]], timeout: float = 60.0
-    ) -> Any:
-        """The FollowJointTrajectory result for points (time from start [s], joint → position [rad])."""
+    def follow(self, controller: str, points: Sequence[Point], timeout: float = 60.0) -> Any:
+        """The FollowJointTrajectory result for some points."""
         from builtin_interfaces.msg import Duration
         from control_msgs.action import FollowJointTrajectory
         from trajectory_msgs.msg import JointTrajectoryPoint
@@ -188,18 +182,3 @@ def leftovers(environment: Mapping[str, str], home: Path, name: str) -> list[str
     found += [str(path) for path in (home / name).rglob("*") if path.is_socket() or "key" in path.name]
     found += [f"/dev/shm/{entry}" for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)]
     return found
-
-
-def finite(values: Sequence[float]) -> bool:
-    """Whether every value is a number."""
-    return all(math.isfinite(value) for value in values)
-
-
-def wait_for(condition: Callable[[], T], timeout: float, what: str) -> T:
-    """Poll until ``condition()`` is true; returns what it gave."""
-    deadline = time.monotonic() + timeout
-    while True:
-        if value := condition():
-            return value
-        assert time.monotonic() < deadline, f"not within {timeout:g} s: {what}"
-        time.sleep(0.02)
