@@ -1,0 +1,171 @@
+"""One plan from the moment it is handed to the Motion Manager until its end, and how it ended.
+
+Nothing here knows ROS or sockets: what is heard goes in with the time [s] at which it was heard, the outcome comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
+
+from footstep_converter.plan import RunningPlan
+from valor_common.messages import Footstep, StepStatus
+
+SILENCE = 2.0  # without a word of the Motion Manager, it is lost [s]
+START = 2.0  # from acceptance to the first step [s]
+SETTLE = 1.0  # from the return to Stand to the last word about the plan [s]
+STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [s]
+
+STEPPING = {"step", "step_manipulate"}
+STANDING = {"stand", "stand_manipulate"}
+
+_F = FootstepExecutionStatus
+_PREMATURE = _F.PREMATURE_HALT
+# What it means for a plan that the robot is in a behavior that is neither Step nor Stand.
+_LEFT_FOR = {
+    "fall": _F.ERR_FALLEN | _F.EMERGENCY_HALT,
+    "get_up": _F.ERR_FALLEN | _F.EMERGENCY_HALT,
+    "soft_stop": _F.EMERGENCY_HALT,
+    "freeze": _F.EMERGENCY_HALT,
+}
+_WRONG_BEHAVIOR = _F.ERR_INVALID_BEHAVIOR_MODE | _PREMATURE
+
+
+class End(Enum):
+    """The terminal state of the action's goal."""
+
+    SUCCEEDED = "succeeded"
+    ABORTED = "aborted"
+    CANCELED = "canceled"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a plan ended."""
+
+    end: End
+    status: int  # flags of FootstepExecutionStatus
+    error: int  # flags of ErrorStatus
+    text: str
+    unconfirmed: bool = False  # ended without the Motion Manager's word: the robot may still step
+
+
+def aborted(status: int, text: str, error: int = ErrorStatus.ERR_UNKNOWN) -> Outcome:
+    """A plan that did not reach its goal, and why."""
+    return Outcome(End.ABORTED, status, error, text)
+
+
+def refusal(behavior: str, reason: str) -> Outcome:
+    """What the Motion Manager's refusal means: its own words, and the flag for the behavior it is in."""
+    if behavior in STEPPING | STANDING:
+        return aborted(_F.ERR_CONTROLLER_NOT_READY, reason, ErrorStatus.ERR_NO_SOLUTION)
+    halt = _LEFT_FOR.get(behavior, 0) & _F.ERR_FALLEN
+    return aborted(_F.ERR_INVALID_BEHAVIOR_MODE | halt, reason)
+
+
+class Execution:
+    """Follows a plan that the Motion Manager accepted.
+
+    Attributes:
+        plan: the steps as accepted, updates included.
+        status: the Motion Manager's last word about this plan, None before the first.
+        outcome: how it ended, None while it runs.
+    """
+
+    def __init__(self, plan: Sequence[Footstep], now: float) -> None:
+        self.plan = list(plan)
+        self.status: StepStatus | None = None
+        self.outcome: Outcome | None = None
+        self._accepted = now
+        self._heard = now
+        self._stepped = False  # the Motion Manager was seen in Step
+        self._stood_since: float | None = None  # back in Stand, having stepped
+        self._stop_asked: float | None = None
+        self._behavior = self._reason = ""
+
+    @property
+    def last_index(self) -> int:
+        """Index of the plan's last step."""
+        return self.plan[-1].step_index
+
+    @property
+    def running_plan(self) -> RunningPlan:
+        """What an update may change."""
+        return RunningPlan(
+            self.plan, self.status.first_changeable_step_index if self.status else self.plan[0].step_index
+        )
+
+    def update(self, plan: Sequence[Footstep], now: float) -> None:
+        """The Motion Manager accepted other steps from ``plan[0]`` on."""
+        self.plan = self.running_plan.updated(plan)
+        self._accepted = now
+
+    def stop_asked(self, now: float) -> None:
+        """The Motion Manager is being told to stop."""
+        self._stop_asked = self._stop_asked or now
+
+    def stop_refused(self) -> None:
+        """The Motion Manager goes on."""
+        self._stop_asked = None
+
+    def heard_status(self, status: StepStatus, now: float) -> None:
+        """A StepStatus. Before this plan executes, it may still be about the one before it."""
+        self._heard = now
+        if self.outcome is not None:
+            return
+        if status.state == "executing":
+            self.status = status
+        elif self.status is not None:
+            self.status = status
+            self._ended(status)
+
+    def _ended(self, status: StepStatus) -> None:
+        if status.state == "finished" and status.last_performed_step_index == self.last_index:
+            self.outcome = Outcome(End.SUCCEEDED, _F.REACHED_GOAL, ErrorStatus.NO_ERROR, "")
+            return
+        done, last = status.last_performed_step_index, self.last_index
+        text = f"the Motion Manager reports {status.state!r} after step {done} of {last}"
+        if status.reason:
+            text += f": {status.reason}"
+        if self._stop_asked is not None:
+            self.outcome = Outcome(End.CANCELED, _PREMATURE, ErrorStatus.NO_ERROR, text)
+        else:
+            self.outcome = aborted(_LEFT_FOR.get(self._behavior, _F.ERR_UNKNOWN | _PREMATURE), text)
+
+    def heard_behavior(self, behavior: str, reason: str, now: float) -> None:
+        """The behavior that the Motion Manager is in, and why it went there."""
+        self._heard = now
+        self._behavior, self._reason = behavior, reason
+        if self.outcome is not None:
+            return
+        if behavior in STEPPING:
+            self._stepped, self._stood_since = True, None
+        elif behavior in STANDING:
+            if self._stepped and self._stood_since is None:
+                self._stood_since = now
+        else:
+            flags = _LEFT_FOR.get(behavior, _WRONG_BEHAVIOR)
+            self.outcome = aborted(flags, f"the Motion Manager went to {behavior!r}: {reason}")
+
+    def passed(self, now: float) -> None:
+        """Time has passed: end what waits for a word that does not come."""
+        if self.outcome is not None:
+            return
+        if now - self._heard > SILENCE:
+            flags, text = (
+                _F.ERR_CONTROLLER_NOT_READY,
+                f"no word of the Motion Manager for {SILENCE:g} s; is it running?",
+            )
+        elif self._stop_asked is not None and now - self._stop_asked > STOP:
+            flags, text = _F.ERR_UNKNOWN, f"the Motion Manager did not confirm the stop within {STOP:g} s"
+        elif self._stood_since is not None and now - self._stood_since > SETTLE:
+            flags = _F.ERR_INVALID_BEHAVIOR_MODE
+            text = f"the Motion Manager went to {self._behavior!r} before the plan's end: {self._reason}"
+        elif self.status is None and now - self._accepted > START:
+            flags, text = _F.ERR_UNKNOWN, f"accepted, but the Motion Manager reports no step within {START:g} s"
+        else:
+            return
+        self.outcome = Outcome(End.ABORTED, flags | _PREMATURE, ErrorStatus.ERR_UNKNOWN, text, unconfirmed=True)

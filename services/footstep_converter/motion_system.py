@@ -1,0 +1,60 @@
+"""The Motion Manager as the converter sees it over Bifrost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import bifrost
+from valor_common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
+from valor_common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
+
+ANSWER = 2.0  # the Motion Manager answers a plan within this [s]
+
+
+class MotionSystem:
+    """Hands plans over without making the caller wait, and hears what becomes of them.
+
+    Requests go out one after the other from a thread of their own; everything else belongs to the caller's thread.
+    """
+
+    def __init__(self, node: bifrost.Node) -> None:
+        self._node = node
+        self._client = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
+        self._step_status = node.subscriber(STEP_STATUS.name, StepStatus, queue=64)
+        # 500 messages a second: subscribed to only while a plan runs.
+        self._motion_state: bifrost.Subscriber[MotionState] | None = None
+        self._requests = ThreadPoolExecutor(max_workers=1, thread_name_prefix="requests")
+
+    @property
+    def drops(self) -> int:
+        """Step statuses known lost."""
+        return self._step_status.drops
+
+    def request(self, steps: Sequence[Footstep], answered: Callable[[], None]) -> Future[FootstepPlanReply]:
+        """Send a plan, or a stop (no steps); ``answered`` is called, from another thread, when the future is done."""
+        future = self._requests.submit(self._client.call, FootstepPlanRequest(steps=list(steps)), ANSWER)
+        future.add_done_callback(lambda _: answered())
+        return future
+
+    def watch(self, watched: bool) -> None:
+        """Hear the Motion Manager's behavior, or no longer."""
+        if watched and self._motion_state is None:
+            self._motion_state = self._node.subscriber(MOTION_STATE.name, MotionState)
+        elif not watched and self._motion_state is not None:
+            self._motion_state.close()
+            self._motion_state = None
+
+    def behavior(self) -> MotionState | None:
+        """The newest motion state not yet seen, while watching."""
+        received = self._motion_state.latest() if self._motion_state is not None else None
+        return received.message if received is not None else None
+
+    def step_statuses(self) -> list[StepStatus]:
+        """All step statuses that arrived since the last call."""
+        return [received.message for received in self._step_status.drain()]
+
+    def close(self) -> None:
+        """Wait for the request under way; forget those that wait."""
+        self._requests.shutdown(wait=True, cancel_futures=True)
+        self.watch(False)

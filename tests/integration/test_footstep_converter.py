@@ -1,0 +1,355 @@
+"""The converter's process between an rclpy client and a scripted Motion Manager, over real DDS and real Bifrost."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import psutil
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
+
+import bifrost
+from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
+from valor_common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
+
+if TYPE_CHECKING:
+    from conftest import RunningInstance
+
+S = FootstepExecutionStatus
+ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
+LIMIT = 30.0  # for anything to happen on a loaded machine [s]
+
+
+def wait_until(condition: Callable[[], Any], what: str) -> Any:
+    deadline = time.monotonic() + LIMIT
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"not within {LIMIT:g} s: {what}"
+        time.sleep(0.01)
+    return value
+
+
+class ScriptedMotionManager:
+    """Answers plans as it is told and says of itself what it is told, 50 times a second."""
+
+    def __init__(self, node: bifrost.Node) -> None:
+        self.requests: list[FootstepPlanRequest] = []
+        self.accepts: Callable[[FootstepPlanRequest], tuple[bool, str]] = lambda request: (True, "")
+        self.behavior, self.reason = "stand", ""
+        self.step_status: StepStatus | None = None
+        self.silent = False
+        self._server = node.server(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._answer)
+        self._state = node.publisher(MOTION_STATE.name, MotionState)
+        self._status = node.publisher(STEP_STATUS.name, StepStatus)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _answer(self, request: FootstepPlanRequest, origin: str) -> FootstepPlanReply:
+        assert origin == "footstep_converter"
+        self.requests.append(request)
+        accepted, reason = self.accepts(request)
+        return FootstepPlanReply(accepted=accepted, behavior=self.behavior, reason=reason)
+
+    def says(self, state: str, performed: int = -1, executing: int = -1, **more: Any) -> None:
+        """What it says of the plan from now on."""
+        self.step_status = StepStatus(
+            time=more.get("time", 5_000_000_000),
+            state=state,
+            reason=more.get("reason", ""),
+            queue_size=more.get("queue", 0),
+            last_performed_step_index=performed,
+            executing_step_index=executing,
+            first_changeable_step_index=more.get("changeable", -1),
+        )
+
+    def _run(self) -> None:
+        three, four = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+        while not self._stop.wait(0.02):
+            if self.silent:
+                continue
+            self._server.serve()
+            if self.step_status is not None:
+                self._status.publish(self.step_status)
+            state = MotionState(
+                time=0, proprioceptor_sequence=0, behavior=self.behavior, locomotion="", manipulation="",
+                attention="", reason=self.reason, pelvis_position_in_odom=three, pelvis_orientation_in_odom=four,
+                pelvis_linear_velocity_in_odom=three, pelvis_angular_velocity_in_pelvis=three, com_in_odom=three,
+                dcm_in_odom=three, dcm_reference_in_odom=three, cop_in_odom=np.zeros(2),
+                contacts=np.ones(2, dtype=np.uint8), joint_setpoint=np.zeros(38), desired_foot_forces=np.zeros(2),
+                qp_status=1, qp_failures=0, torque_saturations=0, tick_time=0.0,
+            )  # fmt: skip
+            self._state.publish(state)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@dataclass
+class Goal:
+    """A goal sent, and what has been heard of it."""
+
+    handle: Any = None
+    feedback: list[Any] = field(default_factory=list)
+    result: Any = None
+
+
+class Client:
+    """An ordinary rclpy action client, spun in a thread."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node("planner", context=self._context)
+        self._client = ActionClient(self._node, ExecuteStepPlan, ACTION)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = ThreadPoolExecutor(1)
+        self._spinning = self._thread.submit(self._executor.spin)
+        assert self._client.wait_for_server(LIMIT), f"no {ACTION}"
+
+    def send(self, plan: StepPlan) -> Goal:
+        goal = Goal()
+        future = self._client.send_goal_async(
+            ExecuteStepPlan.Goal(step_plan=plan), feedback_callback=lambda m: goal.feedback.append(m.feedback)
+        )
+        goal.handle = wait_until(future.result, "the goal's response")
+        assert goal.handle.accepted
+        goal.handle.get_result_async().add_done_callback(lambda f: setattr(goal, "result", f.result()))
+        return goal
+
+    def outcome(self, goal: Goal) -> tuple[int, int, str]:
+        """Terminal state, flags and text."""
+        wait_until(lambda: goal.result, "the goal's result")
+        wait_until(lambda: goal.feedback and goal.feedback[-1].stepping_status == goal.result.result.status.status,
+                   "the feedback with the text")  # fmt: skip
+        return goal.result.status, goal.result.result.status.status, goal.feedback[-1].status.error_msg
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._spinning.result(LIMIT)
+        self._thread.shutdown()
+        self._client.destroy()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def plan(first: int = 0, count: int = 4) -> StepPlan:
+    """Straight ahead from the origin."""
+    made = StepPlan()
+    made.header.frame_id = "odom"
+    for i in range(first, first + count):
+        step = Step(step_index=i, valid=True, swing_height=0.08, step_duration=0.75, sway_duration=0.5)
+        step.foot.foot_index = Foot.LEFT if i % 2 == 0 else Foot.RIGHT
+        step.foot.pose.position.x = 0.2 * (i + 1)
+        step.foot.pose.position.y = 0.11 if step.foot.foot_index == Foot.LEFT else -0.11
+        made.steps.append(step)
+    return made
+
+
+@pytest.fixture
+def ros_client(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
+    """The converter running, and a client of its action."""
+    for name, value in instance.instance.environment().items():
+        monkeypatch.setenv(name, value)
+    instance.start("footstep_converter", wait=True)
+    client = Client(instance.settings.ros_domain_id)
+    yield client
+    client.close()
+
+
+@pytest.fixture
+def motion(instance: RunningInstance) -> Iterator[ScriptedMotionManager]:
+    scripted = ScriptedMotionManager(instance.node("motion_manager"))
+    yield scripted
+    scripted.close()
+
+
+def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    motion.says("finished", performed=3, reason="the plan before")
+    goal = ros_client.send(plan())
+    wait_until(lambda: motion.requests, "the plan at the Motion Manager")
+    sent = motion.requests[0].steps
+    assert [(s.step_index, s.foot) for s in sent] == [(0, 0), (1, 1), (2, 0), (3, 1)]
+    np.testing.assert_array_equal(sent[2].position_in_odom, [0.2 * 3, 0.11, 0.0])
+    np.testing.assert_array_equal(sent[2].orientation_in_odom, [1.0, 0.0, 0.0, 0.0])
+    assert sent[2].swing_duration == 0.75
+
+    motion.behavior = "step"
+    motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
+    wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), "feedback of step 1")
+    seen = goal.feedback[-1]
+    assert (seen.controller_state, seen.stepping_status) == (seen.ACTIVE, S.EXECUTING_STEP_PLAN)
+    assert (seen.queue_size, seen.first_queued_step_index, seen.last_queued_step_index) == (3, 1, 3)
+    assert (seen.last_performed_step_index, seen.first_changeable_step_index) == (0, 2)
+    assert seen.header.stamp.sec == 5
+    assert goal.result is None
+
+    motion.behavior = "stand"
+    motion.says("finished", performed=3)
+    assert ros_client.outcome(goal) == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL, "")
+    assert goal.result.result.controller_state == ExecuteStepPlan.Feedback.FINISHED
+    assert len(motion.requests) == 1
+
+
+def test_a_refusal_is_passed_on_word_for_word(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    motion.accepts = lambda request: (False, "stepping is not available yet")
+    goal = ros_client.send(plan())
+    assert ros_client.outcome(goal) == (
+        GoalStatus.STATUS_ABORTED,
+        S.ERR_CONTROLLER_NOT_READY,
+        "stepping is not available yet",
+    )
+    motion.behavior, motion.accepts = "fall", lambda request: (False, "the robot has fallen")
+    goal = ros_client.send(plan())
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, text) == (GoalStatus.STATUS_ABORTED, "the robot has fallen")
+    assert flags & S.ERR_FALLEN
+    assert all(request.steps for request in motion.requests)
+
+
+def test_a_broken_plan_is_refused_and_nothing_forwarded(
+    instance: RunningInstance, motion: ScriptedMotionManager, ros_client: Client
+) -> None:
+    statistics = instance.node("watch").subscriber(FOOTSTEP_CONVERTER_STATISTICS.name, Statistics)
+    elsewhere = plan()
+    elsewhere.header.frame_id = "map"
+    far = plan()
+    far.steps[2].foot.pose.position.x = 5.0
+    endless = plan()
+    endless.steps = endless.steps * 5000
+    for broken, flag, error, text in [
+        (elsewhere, S.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INCONSISTENT_STEP_PLAN, "frame 'map'"),
+        (far, S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP, "step 2 (left): forward of the other foot"),
+        (endless, S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, "20000 steps"),
+        (StepPlan(), S.ERR_EMPTY_PLAN, ErrorStatus.ERR_INCONSISTENT_REQUEST, "no steps"),
+    ]:
+        goal = ros_client.send(broken)
+        status, flags, said = ros_client.outcome(goal)
+        assert (status, flags) == (GoalStatus.STATUS_ABORTED, flag)
+        assert goal.feedback[-1].status.error == error
+        assert text in said
+    assert not motion.requests
+    wait_until(lambda: (r := statistics.latest()) and r.message.rejected == 4, "the refusals in the statistics")
+
+
+def test_without_a_motion_manager_the_error_says_so(ros_client: Client) -> None:
+    goal = ros_client.send(plan())
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY)
+    assert "no Motion Manager" in text
+
+
+def test_a_silent_motion_manager_is_told_to_stop(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    motion.silent = True
+    goal = ros_client.send(plan())
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY)
+    assert "did not answer" in text
+    motion.silent = False
+    wait_until(lambda: motion.requests and not motion.requests[-1].steps, "the stop")
+
+
+def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
+    """A plan under way."""
+    goal = client.send(plan())
+    wait_until(lambda: motion.requests, "the plan at the Motion Manager")
+    motion.behavior = "step"
+    motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
+    wait_until(lambda: any(f.controller_state == f.ACTIVE for f in goal.feedback), "the plan under way")
+    return goal
+
+
+def test_a_fall_ends_the_plan(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    goal = begin(motion, ros_client)
+    motion.behavior, motion.reason = "fall", "DCM 0.31 m outside the support polygon"
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_FALLEN | S.EMERGENCY_HALT)
+    assert motion.reason in text
+
+
+def test_the_loss_of_the_motion_manager_ends_the_plan(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    goal = begin(motion, ros_client)
+    motion.silent = True
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY | S.PREMATURE_HALT)
+    assert "no word of the Motion Manager" in text
+
+
+def test_a_canceled_plan_stops(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    goal = begin(motion, ros_client)
+    goal.handle.cancel_goal_async()
+    wait_until(lambda: not motion.requests[-1].steps, "the stop at the Motion Manager")
+    assert goal.result is None
+    motion.behavior = "stand"
+    motion.says("finished", performed=1, reason="stopped")
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_CANCELED, S.PREMATURE_HALT)
+    assert "after step 1 of 3: stopped" in text
+
+
+def test_a_plan_without_steps_stops_the_one_that_runs(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    goal = begin(motion, ros_client)
+    stop = ros_client.send(StepPlan())
+    assert ros_client.outcome(stop)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.PREMATURE_HALT)
+    assert not motion.requests[-1].steps
+    motion.says("finished", performed=1, reason="stopped")
+    assert ros_client.outcome(goal)[:2] == (GoalStatus.STATUS_ABORTED, S.PREMATURE_HALT)
+
+
+def test_an_update_takes_over(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    goal = begin(motion, ros_client)
+    late = ros_client.send(plan(first=1))
+    assert ros_client.outcome(late)[1] == S.ERR_INVALID_INCONSISTENT_INDICES
+    update = ros_client.send(plan(first=2, count=6))
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.UPDATED_STEP_PLAN)
+    assert "from step 2 on" in text
+    motion.says("finished", performed=7)
+    assert ros_client.outcome(update)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL)
+    assert len(motion.requests) == 2
+
+
+def test_a_refused_update_leaves_the_plan_running(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    goal = begin(motion, ros_client)
+    motion.accepts = lambda request: (False, "too late for step 2")
+    update = ros_client.send(plan(first=2, count=6))
+    assert ros_client.outcome(update)[2] == "too late for step 2"
+    motion.says("finished", performed=3)
+    assert ros_client.outcome(goal)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL)
+
+
+def test_stopping_the_converter_stops_the_plan_and_tells_the_client(
+    instance: RunningInstance, motion: ScriptedMotionManager, ros_client: Client
+) -> None:
+    goal = begin(motion, ros_client)
+    assert instance.stop("footstep_converter") == 0
+    assert not motion.requests[-1].steps
+    status, flags, text = ros_client.outcome(goal)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY | S.PREMATURE_HALT)
+    assert "stopping" in text
+
+
+def test_it_costs_next_to_nothing_at_idle(instance: RunningInstance, motion: ScriptedMotionManager,
+                                          ros_client: Client) -> None:  # fmt: skip
+    """A rate, not a time: cycles of the processor a second of its own clock, while motion states go by."""
+    process = psutil.Process(instance.process("footstep_converter").pid)
+    statistics = instance.node("watch").subscriber(FOOTSTEP_CONVERTER_STATISTICS.name, Statistics, queue=10)
+    assert statistics.receive(LIMIT)
+    before, began = process.cpu_times(), time.monotonic()
+    for _ in range(3):
+        assert statistics.receive(LIMIT)
+    after, ended = process.cpu_times(), time.monotonic()
+    used = (after.user + after.system - before.user - before.system) / (ended - began)
+    assert used < 0.10

@@ -1,0 +1,223 @@
+"""However the Motion Manager behaves, a plan ends, and ends with the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
+
+from footstep_converter.execution import SETTLE, SILENCE, START, STOP, End, Execution, refusal
+from valor_common.messages import Footstep, StepStatus
+
+S = FootstepExecutionStatus
+
+
+def plan(first: int, last: int) -> list[Footstep]:
+    return [
+        Footstep(
+            step_index=i,
+            foot=i % 2,
+            position_in_odom=np.zeros(3),
+            orientation_in_odom=np.array([1.0, 0.0, 0.0, 0.0]),
+            swing_height=0.0,
+            swing_duration=0.0,
+            transfer_duration=0.0,
+        )
+        for i in range(first, last + 1)
+    ]
+
+
+def status(state: str, performed: int = -1, reason: str = "", changeable: int = -1) -> StepStatus:
+    return StepStatus(
+        time=0,
+        state=state,
+        reason=reason,
+        queue_size=0,
+        last_performed_step_index=performed,
+        executing_step_index=-1,
+        first_changeable_step_index=changeable,
+    )
+
+
+@pytest.fixture
+def execution() -> Execution:
+    """A plan of steps 0 to 3, accepted at 0 s."""
+    return Execution(plan(0, 3), 0.0)
+
+
+def test_finished_with_the_last_step_succeeds(execution: Execution) -> None:
+    execution.heard_behavior("step", "", 0.1)
+    execution.heard_status(status("executing"), 0.1)
+    execution.heard_status(status("finished", 3), 3.0)
+    assert execution.outcome is not None
+    assert (execution.outcome.end, execution.outcome.status) == (End.SUCCEEDED, S.REACHED_GOAL)
+
+
+def test_words_about_the_plan_before_are_not_about_this_one(execution: Execution) -> None:
+    execution.heard_status(status("finished", 3), 0.1)
+    execution.heard_status(status("failed", 1), 0.2)
+    assert execution.outcome is None
+    assert execution.status is None
+
+
+@pytest.mark.parametrize("state", ["finished", "failed", "idle"])
+def test_an_end_before_the_last_step_is_a_failure_with_its_cause(execution: Execution, state: str) -> None:
+    execution.heard_status(status("executing"), 0.1)
+    execution.heard_status(status(state, 1, "the swing foot hit something"), 1.0)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.ABORTED
+    assert execution.outcome.status & S.PREMATURE_HALT
+    assert "after step 1 of 3: the swing foot hit something" in execution.outcome.text
+
+
+@pytest.mark.parametrize(
+    ("behavior", "flags"),
+    [
+        ("fall", S.ERR_FALLEN | S.EMERGENCY_HALT),
+        ("soft_stop", S.EMERGENCY_HALT),
+        ("freeze", S.EMERGENCY_HALT),
+        ("idle", S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT),
+        ("walk", S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT),
+    ],
+)
+def test_a_behavior_that_does_not_step_ends_the_plan(execution: Execution, behavior: str, flags: int) -> None:
+    execution.heard_behavior("step", "", 0.1)
+    execution.heard_status(status("executing"), 0.1)
+    execution.heard_behavior(behavior, "because", 0.5)
+    assert execution.outcome is not None
+    assert (execution.outcome.end, execution.outcome.status) == (End.ABORTED, flags)
+    assert execution.outcome.text == f"the Motion Manager went to {behavior!r}: because"
+
+
+def test_the_return_to_stand_waits_for_the_last_word(execution: Execution) -> None:
+    execution.heard_behavior("step_manipulate", "", 0.1)
+    execution.heard_status(status("executing"), 0.1)
+    execution.heard_behavior("stand", "plan done", 1.0)
+    execution.passed(1.0 + 0.9 * SETTLE)
+    assert execution.outcome is None
+    execution.heard_status(status("finished", 3), 1.0 + 0.95 * SETTLE)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.SUCCEEDED
+
+
+def test_the_return_to_stand_without_a_word_is_a_failure(execution: Execution) -> None:
+    execution.heard_behavior("step", "", 0.1)
+    execution.heard_status(status("executing"), 0.1)
+    execution.heard_behavior("stand", "commanded", 1.0)
+    execution.heard_behavior("stand", "commanded", 1.0 + 1.1 * SETTLE)
+    execution.passed(1.0 + 1.1 * SETTLE)
+    assert execution.outcome is not None
+    assert execution.outcome.status & S.ERR_INVALID_BEHAVIOR_MODE
+    assert "went to 'stand' before the plan's end: commanded" in execution.outcome.text
+
+
+def test_standing_before_the_first_step_is_no_return(execution: Execution) -> None:
+    execution.heard_behavior("stand", "", 0.1)
+    execution.passed(0.1 + 1.1 * SETTLE)
+    assert execution.outcome is None
+
+
+def test_silence_is_named(execution: Execution) -> None:
+    execution.heard_status(status("executing"), 0.5)
+    execution.passed(0.5 + 0.9 * SILENCE)
+    assert execution.outcome is None
+    execution.passed(0.5 + 1.1 * SILENCE)
+    assert execution.outcome is not None
+    assert execution.outcome.status & S.ERR_CONTROLLER_NOT_READY
+    assert execution.outcome.unconfirmed
+    assert "no word of the Motion Manager" in execution.outcome.text
+
+
+def test_accepted_but_never_begun_is_named(execution: Execution) -> None:
+    execution.heard_behavior("stand", "", 1.1 * START)
+    execution.passed(1.1 * START)
+    assert execution.outcome is not None
+    assert "reports no step" in execution.outcome.text
+
+
+def test_a_stop_ends_canceled_and_says_where(execution: Execution) -> None:
+    execution.heard_status(status("executing"), 0.1)
+    execution.stop_asked(0.5)
+    execution.heard_status(status("finished", 1, "stopped"), 1.0)
+    assert execution.outcome is not None
+    assert (execution.outcome.end, execution.outcome.status) == (End.CANCELED, S.PREMATURE_HALT)
+    assert "after step 1 of 3: stopped" in execution.outcome.text
+
+
+def test_a_stop_that_comes_too_late_still_reached_the_goal(execution: Execution) -> None:
+    execution.heard_status(status("executing"), 0.1)
+    execution.stop_asked(0.5)
+    execution.heard_status(status("finished", 3), 1.0)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.SUCCEEDED
+
+
+def test_a_stop_never_confirmed_is_named(execution: Execution) -> None:
+    execution.heard_status(status("executing"), 0.1)
+    execution.stop_asked(0.5)
+    execution.heard_status(status("executing"), 0.5 + 1.1 * STOP)
+    execution.passed(0.5 + 1.1 * STOP)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.ABORTED
+    assert execution.outcome.unconfirmed
+
+
+def test_an_update_moves_the_goal(execution: Execution) -> None:
+    execution.heard_status(status("executing", changeable=2), 0.1)
+    execution.update(plan(2, 7), 0.2)
+    assert [step.step_index for step in execution.plan] == list(range(8))
+    execution.heard_status(status("executing", 3), 0.3)
+    assert execution.outcome is None
+    execution.heard_status(status("finished", 7), 0.4)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.SUCCEEDED
+
+
+def test_a_refusal_carries_the_motion_managers_own_words() -> None:
+    for behavior, flag in [
+        ("stand", S.ERR_CONTROLLER_NOT_READY),
+        ("walk", S.ERR_INVALID_BEHAVIOR_MODE),
+        ("soft_stop", S.ERR_INVALID_BEHAVIOR_MODE),
+        ("fall", S.ERR_FALLEN | S.ERR_INVALID_BEHAVIOR_MODE),
+    ]:
+        outcome = refusal(behavior, "stepping is not built yet")
+        assert (outcome.status, outcome.text) == (flag, "stepping is not built yet")
+
+
+words = st.one_of(
+    st.tuples(st.just("status"), st.sampled_from(["idle", "executing", "finished", "failed"]), st.integers(-1, 4)),
+    st.tuples(
+        st.just("behavior"),
+        st.sampled_from(["idle", "stand", "step", "step_manipulate", "walk", "soft_stop", "fall"]),
+        st.just(0),
+    ),
+    st.tuples(st.just("stop"), st.just(""), st.just(0)),
+)
+
+
+@given(st.lists(st.tuples(words, st.floats(0.0, 1.0)), max_size=40))
+def test_success_is_claimed_only_of_a_finished_plan_and_no_outcome_changes(
+    story: list[tuple[tuple[str, str, int], float]],
+) -> None:
+    execution = Execution(plan(0, 3), 0.0)
+    now, executed, finished, outcome = 0.0, False, False, None
+    for (kind, word, index), wait in story:
+        now += wait
+        execution.passed(now)
+        if execution.outcome is None:
+            executed |= (kind, word) == ("status", "executing")
+            finished |= executed and (kind, word, index) == ("status", "finished", 3)
+        if kind == "status":
+            execution.heard_status(status(word, index), now)
+        elif kind == "behavior":
+            execution.heard_behavior(word, "", now)
+        else:
+            execution.stop_asked(now)
+        if outcome is not None:
+            assert execution.outcome is outcome
+        outcome = execution.outcome
+        assert (outcome is not None and outcome.end is End.SUCCEEDED) == finished
+    execution.passed(now + 1.01 * max(SILENCE, START, STOP, SETTLE))
+    assert execution.outcome is not None

@@ -1,0 +1,294 @@
+"""A broken plan never becomes footsteps; a good one becomes exactly the footsteps it says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
+
+from footstep_converter.plan import PlanError, RunningPlan, convert
+from valor_common.robot import Footsteps, RobotDescription
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+assert ROBOT.tables.footsteps is not None
+LIMITS: Footsteps = ROBOT.tables.footsteps
+S = FootstepExecutionStatus
+
+
+def quaternion(yaw: float, pitch: float = 0.0) -> tuple[float, float, float, float]:
+    """(w, x, y, z) of a turn about y, then about z."""
+    cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+    return cy * cp, -sy * sp, cy * sp, sy * cp
+
+
+@dataclass(frozen=True)
+class Move:
+    """A step as seen from the other foot, with its parameters."""
+
+    forward: float
+    width: float
+    up: float
+    turn: float
+    pitch: float
+    swing_height: float
+    step_duration: float
+    sway_duration: float
+
+
+def place(step: Step, x: float, y: float, z: float, q: tuple[float, float, float, float]) -> None:
+    position, orientation = step.foot.pose.position, step.foot.pose.orientation
+    position.x, position.y, position.z = x, y, z
+    orientation.w, orientation.x, orientation.y, orientation.z = q
+
+
+def make_plan(moves: list[Move], first_foot: int = Foot.LEFT, first_index: int = 0) -> StepPlan:
+    """A plan that walks the moves one after the other from somewhere in odom, with start feet given."""
+    plan = StepPlan()
+    plan.header.frame_id = plan.start.header.frame_id = "odom"
+    plan.start.left.foot_index, plan.start.right.foot_index = Foot.LEFT, Foot.RIGHT
+    x, y, z, yaw = 1.5, -0.7, 0.1, 0.3
+    stance = plan.start.right if first_foot == Foot.LEFT else plan.start.left
+    stance.pose.position.x, stance.pose.position.y, stance.pose.position.z = x, y, z
+    q = stance.pose.orientation
+    q.w, q.x, q.y, q.z = quaternion(yaw)
+    for i, move in enumerate(moves):
+        step = Step(step_index=first_index + i, valid=True)
+        step.foot.foot_index = first_foot if i % 2 == 0 else 1 - first_foot
+        left = move.width if step.foot.foot_index == Foot.LEFT else -move.width
+        x += math.cos(yaw) * move.forward - math.sin(yaw) * left
+        y += math.sin(yaw) * move.forward + math.cos(yaw) * left
+        z += move.up
+        yaw += move.turn
+        place(step, x, y, z, quaternion(yaw, move.pitch))
+        step.swing_height, step.step_duration, step.sway_duration = (
+            move.swing_height,
+            move.step_duration,
+            move.sway_duration,
+        )
+        plan.steps.append(step)
+    return plan
+
+
+MOVE = Move(0.2, 0.22, 0.0, 0.0, 0.0, 0.08, 0.8, 0.4)
+
+
+def within(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_nan=False)
+
+
+moves = st.builds(
+    Move,
+    forward=within(-LIMITS.max_backward, LIMITS.max_forward),
+    width=within(LIMITS.min_width, LIMITS.max_width),
+    up=within(-LIMITS.max_down, LIMITS.max_up),
+    turn=within(-LIMITS.max_yaw, LIMITS.max_yaw),
+    pitch=within(-LIMITS.max_tilt, LIMITS.max_tilt).map(lambda tilt: 0.99 * tilt),
+    swing_height=within(0.0, LIMITS.max_swing_height),
+    step_duration=st.just(0.0) | within(LIMITS.min_swing_duration, LIMITS.max_swing_duration),
+    sway_duration=st.just(0.0) | within(LIMITS.min_transfer_duration, LIMITS.max_transfer_duration),
+)
+plans = st.builds(
+    make_plan, st.lists(moves, min_size=1, max_size=6), st.sampled_from([Foot.LEFT, Foot.RIGHT]), st.just(0)
+)
+
+
+@given(plans)
+def test_a_good_plan_converts_exactly(plan: StepPlan) -> None:
+    footsteps = convert(plan, LIMITS)
+    assert len(footsteps) == len(plan.steps)
+    for footstep, step in zip(footsteps, plan.steps, strict=True):
+        pose = step.foot.pose
+        assert footstep.step_index == step.step_index
+        assert footstep.foot == step.foot.foot_index
+        assert footstep.position_in_odom.tolist() == [pose.position.x, pose.position.y, pose.position.z]
+        q = pose.orientation
+        np.testing.assert_allclose(footstep.orientation_in_odom, [q.w, q.x, q.y, q.z], rtol=0, atol=1e-12)
+        assert footstep.swing_height == step.swing_height
+        assert footstep.swing_duration == step.step_duration
+        assert footstep.transfer_duration == step.sway_duration
+
+
+@given(plans, st.data())
+def test_a_plan_with_any_number_not_finite_is_refused(plan: StepPlan, data: st.DataObject) -> None:
+    step = data.draw(st.sampled_from(plan.steps))
+    value = data.draw(st.sampled_from([math.nan, math.inf, -math.inf]))
+    targets: list[tuple[object, str]] = [
+        *((step.foot.pose.position, axis) for axis in "xyz"),
+        *((step.foot.pose.orientation, axis) for axis in "wxyz"),
+        *((step, name) for name in ("swing_height", "step_duration", "sway_duration")),
+    ]
+    thing, name = data.draw(st.sampled_from(targets))
+    setattr(thing, name, value)
+    with pytest.raises(PlanError, match=f"step {step.step_index} ") as refused:
+        convert(plan, LIMITS)
+    assert refused.value.status == S.ERR_INVALID_PLAN
+
+
+EXCESSES: dict[str, tuple[str, float, float]] = {
+    "forward": ("forward of the other foot", -LIMITS.max_backward, LIMITS.max_forward),
+    "width": ("width between the feet", LIMITS.min_width, LIMITS.max_width),
+    "up": ("height above the other foot", -LIMITS.max_down, LIMITS.max_up),
+    "turn": ("turned from the other foot", -LIMITS.max_yaw, LIMITS.max_yaw),
+    "pitch": ("tilt of the sole", -LIMITS.max_tilt, LIMITS.max_tilt),
+    "swing_height": ("swing_height", 0.0, LIMITS.max_swing_height),
+    "step_duration": ("step_duration", LIMITS.min_swing_duration, LIMITS.max_swing_duration),
+    "sway_duration": ("sway_duration", LIMITS.min_transfer_duration, LIMITS.max_transfer_duration),
+}
+
+
+@given(st.data(), st.sampled_from(sorted(EXCESSES)), st.integers(0, 3), st.floats(1e-3, 1.0), st.booleans())
+def test_a_step_beyond_any_limit_is_refused_and_named(
+    data: st.DataObject, what: str, at: int, excess: float, above: bool
+) -> None:
+    text, low, high = EXCESSES[what]
+    parameters = vars(MOVE) | {what: high + excess if above else low - min(excess, 0.9 * abs(low) + 0.05)}
+    if parameters[what] == 0.0:
+        parameters[what] = -excess  # a duration of 0 is the robot's default
+    steps = [MOVE] * 4
+    steps[at] = Move(**parameters)
+    with pytest.raises(PlanError) as refused:
+        convert(make_plan(steps, data.draw(st.sampled_from([Foot.LEFT, Foot.RIGHT]))), LIMITS)
+    assert text in str(refused.value)
+    assert f"step {at} " in str(refused.value)
+    assert (refused.value.status, refused.value.error) == (S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP)
+
+
+def test_the_feet_may_not_meet_whatever_their_heading() -> None:
+    """A step onto the other foot, seen in odom as a step of good length, is refused in the foot's own frame."""
+    plan = make_plan([MOVE, MOVE])
+    stance = plan.steps[0].foot.pose
+    plan.steps[1].foot.pose.position.x = stance.position.x
+    plan.steps[1].foot.pose.position.y = stance.position.y
+    with pytest.raises(PlanError, match=r"step 1 \(right\): width between the feet"):
+        convert(plan, LIMITS)
+
+
+def twice_the_same_foot(plan: StepPlan) -> None:
+    plan.steps[2].foot.foot_index = plan.steps[1].foot.foot_index
+
+
+def set_to(path: str, value: object) -> Callable[[StepPlan], None]:
+    """Break a plan at ``path``, such as ``steps[1].foot.foot_index``."""
+
+    def breaks(plan: StepPlan) -> None:
+        *parents, name = path.replace("[", ".").replace("]", "").split(".")
+        thing: object = plan
+        for parent in parents:
+            thing = thing[int(parent)] if parent.isdigit() else getattr(thing, parent)  # type: ignore[index]
+        setattr(thing, name, value)
+
+    return breaks
+
+
+INCONSISTENT, INDICES, INVALID = (
+    S.ERR_INCONSISTENT_STEP_PLAN,
+    S.ERR_INVALID_INCONSISTENT_INDICES,
+    S.ERR_INVALID_PLAN,
+)
+# fmt: off
+BREAKS = [
+    (set_to("steps", []), S.ERR_EMPTY_PLAN, "no steps"),
+    (set_to("header.frame_id", "map"), INCONSISTENT, "frame 'map'; only 'odom'"),
+    (set_to("header.frame_id", ""), INCONSISTENT, "frame ''; only 'odom'"),
+    (set_to("steps[1].header.frame_id", "map"), INCONSISTENT, r"step 1 \(right\): in frame 'map'"),
+    (set_to("steps[1].foot.header.frame_id", "l_sole"), INCONSISTENT, r"step 1 \(right\): in frame 'l_sole'"),
+    (set_to("start.header.frame_id", "map"), INCONSISTENT, "start feet are in frame 'map'"),
+    (set_to("start.right.foot_index", Foot.LEFT), INCONSISTENT, r"start.right has foot index 0"),
+    (set_to("start.right.pose.position.x", math.nan), INVALID, "start.right: position"),
+    (set_to("steps[0].step_index", 1), S.ERR_NON_ZERO_INITIAL_STEP, "begins with step 1"),
+    (set_to("steps[0].step_index", -1), S.ERR_NON_ZERO_INITIAL_STEP, "begins with step -1"),
+    (set_to("steps[2].step_index", 1), INDICES, "step 1 stands where step 2 was expected"),
+    (set_to("steps[2].step_index", 2**31 - 1), INDICES, "where step 2 was expected"),
+    (set_to("steps[1].foot.foot_index", 2), INVALID, r"step 1 \(no foot\): foot index 2"),
+    (set_to("steps[1].valid", False), INVALID, r"step 1 \(right\): its planner marked it as not valid"),
+    (set_to("steps[1].colliding", True), INVALID, r"step 1 \(right\): its planner marked it as colliding"),
+    (set_to("steps[1].foot.pose.orientation.w", 0.0), INVALID, r"step 1 \(right\): orientation has norm"),
+    (twice_the_same_foot, INCONSISTENT, r"step 2 \(right\): the right foot twice in a row"),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("breaks", "status", "text"), BREAKS, ids=[text for _, _, text in BREAKS])
+def test_a_broken_plan_is_refused_with_its_own_flag(breaks: Callable[[StepPlan], None], status: int, text: str) -> None:
+    plan = make_plan([MOVE] * 4)
+    assert len(convert(plan, LIMITS)) == 4
+    breaks(plan)
+    with pytest.raises(PlanError, match=text) as refused:
+        convert(plan, LIMITS)
+    assert refused.value.status == status
+    assert "\n" not in str(refused.value)
+
+
+def test_zero_norm_quaternion_is_refused() -> None:
+    plan = make_plan([MOVE] * 2)
+    place(plan.steps[1], 0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(PlanError, match=r"step 1 \(right\): orientation has norm 0; expected 1"):
+        convert(plan, LIMITS)
+
+
+def test_a_huge_plan_is_refused_by_its_length() -> None:
+    plan = make_plan([MOVE])
+    plan.steps = plan.steps * 100_000
+    with pytest.raises(PlanError, match="100000 steps; the robot takes at most 50") as refused:
+        convert(plan, LIMITS)
+    assert refused.value.status == INVALID
+
+
+def test_without_start_feet_the_first_step_is_left_to_the_motion_manager() -> None:
+    plan = make_plan([MOVE])
+    plan.start.header.frame_id = ""
+    plan.steps[0].foot.pose.position.x = 50.0
+    assert convert(plan, LIMITS)[0].position_in_odom[0] == 50.0
+
+
+class TestUpdate:
+    """A plan that changes the one that runs."""
+
+    RUNNING = RunningPlan(convert(make_plan([MOVE] * 6), LIMITS), first_changeable=3)
+
+    def update(self, first: int, count: int = 2) -> StepPlan:
+        """The running plan's own steps from ``first`` on, as a plan."""
+        plan = make_plan([MOVE] * 6)
+        plan.steps = plan.steps[first : first + count]
+        return plan
+
+    @pytest.mark.parametrize("first", [3, 4, 5])
+    def test_begins_with_a_changeable_step(self, first: int) -> None:
+        steps = convert(self.update(first), LIMITS, self.RUNNING)
+        merged = self.RUNNING.updated(steps)
+        assert [step.step_index for step in merged] == list(range(min(6, first + 2)))
+
+    @pytest.mark.parametrize("first", [0, 1, 2])
+    def test_of_a_step_under_way_is_refused(self, first: int) -> None:
+        with pytest.raises(PlanError, match=f"begins with step {first}; of the running plan steps 3 to 5") as refused:
+            convert(self.update(first), LIMITS, self.RUNNING)
+        assert refused.value.status == INDICES
+
+    def test_beyond_the_plan_is_refused(self) -> None:
+        plan = self.update(5, 1)
+        plan.steps[0].step_index = 6
+        with pytest.raises(PlanError, match="begins with step 6"):
+            convert(plan, LIMITS, self.RUNNING)
+
+    def test_of_a_plan_that_cannot_change_is_refused(self) -> None:
+        with pytest.raises(PlanError, match="of the running plan no step can still be changed"):
+            convert(self.update(5), LIMITS, RunningPlan(self.RUNNING.steps, first_changeable=-1))
+
+    def test_with_the_other_foot_is_refused(self) -> None:
+        plan = self.update(3)
+        plan.steps[0].foot.foot_index = Foot.LEFT
+        with pytest.raises(PlanError, match=r"step 3 \(left\): in the running plan this step is the right foot's"):
+            convert(plan, LIMITS, self.RUNNING)
+
+    def test_is_measured_from_the_running_plan(self) -> None:
+        plan = self.update(3)
+        plan.steps[0].foot.pose.position.x += 1.0
+        with pytest.raises(PlanError, match=r"step 3 \(right\): forward of the other foot"):
+            convert(plan, LIMITS, self.RUNNING)
