@@ -1,0 +1,56 @@
+"""``motion_manager/behavior``: requests for a behavior, accepted or refused with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from motion_manager.behaviors import Behavior
+from motion_manager.rejections import Rejections
+from valor_common.messages import BehaviorReply, BehaviorRequest
+from valor_common.topics import BEHAVIOR
+
+
+class BehaviorHandler:
+    """Asks the Behavior FSM on behalf of a client."""
+
+    def __init__(
+        self,
+        fsm: BehaviorFsm,
+        rejections: Rejections,
+        conditions: Callable[[], Conditions],
+        out_of_control: Callable[[], str],
+    ) -> None:
+        """Make the handler.
+
+        Args:
+            fsm: the Behavior FSM.
+            rejections: where refusals are counted.
+            conditions: gives what the robot's condition has against transitions.
+            out_of_control: gives why the Motion Manager has no robot in its hands now, or an empty text.
+        """
+        self._fsm = fsm
+        self._rejections = rejections
+        self._conditions = conditions
+        self._out_of_control = out_of_control
+
+    def handle(self, request: BehaviorRequest, origin: str) -> BehaviorReply:
+        """Answer a request of the node ``origin``."""
+        try:
+            target = Behavior(request.behavior)
+        except ValueError:
+            return self._refuse(
+                origin,
+                "unknown",
+                f"unknown behavior {request.behavior[:64]!r}; expected one of {', '.join(Behavior)}",
+            )
+        if target is not self._fsm.behavior and (reason := self._out_of_control()):
+            return self._refuse(origin, "no_robot", reason)
+        verdict = self._fsm.request(target, self._conditions(), origin)
+        if not verdict.accepted:
+            return self._refuse(origin, target, verdict.reason)
+        return BehaviorReply(accepted=True, behavior=self._fsm.behavior, reason=verdict.reason)
+
+    def _refuse(self, origin: str, kind: str, reason: str) -> BehaviorReply:
+        self._rejections.add(BEHAVIOR.name, origin, kind, reason)
+        return BehaviorReply(accepted=False, behavior=self._fsm.behavior, reason=reason)

@@ -1,0 +1,146 @@
+"""``motion_manager/joint_setpoints``: whole messages are followed or refused, never parts of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from bifrost import Received
+from motion_manager.behavior_fsm import BehaviorFsm
+from motion_manager.joint_reference import Setpoint
+from motion_manager.rejections import Rejections
+from motion_manager.upper_body import UpperBody
+from valor_common.messages import JointSetpoints
+from valor_common.robot import RobotDescription
+from valor_common.topics import JOINT_SETPOINTS
+
+STALE = 0.5  # a set-point for a state older than this is refused [s of robot time]
+AHEAD = 0.1  # likewise one for a state that is so far from having been [s of robot time]
+_LAYOUTS = 64  # name lists remembered
+
+
+class RefusalError(Exception):
+    """A message that is not followed: what kind of fault, and the reason for a person."""
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(reason)
+        self.kind = kind
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a list of names means: places in the joint vectors, and the internal FSMs that own them."""
+
+    joints: npt.NDArray[np.intp]
+    machines: frozenset[type[StrEnum]]
+    first_of: dict[type[StrEnum], str]  # a joint of each, to name in refusals
+
+
+class JointSetpointsHandler:
+    """Checks set-points, brings them within the limits and hands them to the upper body.
+
+    They are stale or not by robot time, which all computers share; a Proprioceptor that was before this Motion
+    Manager took the robot over makes them as stale as an old one.
+    """
+
+    def __init__(
+        self, robot: RobotDescription, fsm: BehaviorFsm, upper_body: UpperBody, rejections: Rejections
+    ) -> None:
+        self._index = robot.index
+        self._lower, self._upper = robot.lower, robot.upper
+        self._velocity_limit = robot.velocity_limit
+        self._acceleration_limit = upper_body.acceleration_limit
+        self._fsm = fsm
+        self._upper_body = upper_body
+        self._rejections = rejections
+        self._layouts: dict[tuple[str, ...], Layout] = {}
+
+    def handle(self, received: Received[JointSetpoints], now: int, taken_over: int) -> bool:
+        """Follow a message or refuse it; returns whether it is followed.
+
+        Args:
+            received: the message and its envelope.
+            now: robot time [ns].
+            taken_over: robot time at which this Motion Manager took the robot over [ns].
+        """
+        try:
+            self._follow(received.message, now, taken_over)
+        except RefusalError as refusal:
+            self._rejections.add(JOINT_SETPOINTS.name, received.origin, refusal.kind, str(refusal))
+            return False
+        return True
+
+    def _follow(self, message: JointSetpoints, now: int, taken_over: int) -> None:
+        layout = self._layout(message.names)
+        self._check_time(message.time, now, taken_over)
+        count = layout.joints.size
+        vectors = (message.position, message.velocity, message.acceleration)
+        for what, vector in zip(("position", "velocity", "acceleration"), vectors, strict=True):
+            if vector.shape != (count,):
+                raise RefusalError("length", f"{what} has {vector.size} numbers for {count} joints")
+        # A sum is finite only if every part is, and costs a fraction of isfinite on each.
+        if not np.isfinite(sum(float(vector @ vector) for vector in vectors)):
+            self._refuse_not_finite(message)
+        for machine in layout.machines:
+            if closed := self._upper_body.closed(machine):
+                raise RefusalError(
+                    "closed",
+                    f"joint {layout.first_of[machine]!r} is closed to set-points in behavior "
+                    f"{self._fsm.behavior}: {closed}",
+                )
+        joints = layout.joints
+        velocity, acceleration = self._velocity_limit[joints], self._acceleration_limit[joints]
+        setpoint = Setpoint(
+            joints,
+            position=np.clip(message.position, self._lower[joints], self._upper[joints]),
+            velocity=np.clip(message.velocity, -velocity, velocity),
+            acceleration=np.clip(message.acceleration, -acceleration, acceleration),
+            time=message.time * 1e-9,
+        )
+        self._upper_body.follow(layout.machines, setpoint, now * 1e-9)
+
+    def _check_time(self, time: int, now: int, taken_over: int) -> None:
+        age = (now - time) * 1e-9
+        if age > STALE:
+            raise RefusalError("stale", f"stale: made for a state {age:.3f} s old; expected at most {STALE} s")
+        if time < taken_over:
+            raise RefusalError("stale", "stale: made before this Motion Manager took the robot over")
+        if age < -AHEAD:
+            raise RefusalError("ahead", f"made for a state {-age:.3f} s ahead of robot time; another world's?")
+
+    @staticmethod
+    def _refuse_not_finite(message: JointSetpoints) -> None:
+        for what in ("position", "velocity", "acceleration"):
+            vector = getattr(message, what)
+            # The squares of numbers beyond 1e154 are not finite either; no joint needs them.
+            bad = np.flatnonzero(~np.isfinite(vector * vector))
+            if bad.size:
+                raise RefusalError(
+                    "finite", f"{what} of joint {message.names[bad[0]]!r} is {vector[bad[0]]}, not a finite number"
+                )
+        raise RefusalError("finite", "not finite")
+
+    def _layout(self, names: list[str]) -> Layout:
+        key = tuple(names)
+        if (known := self._layouts.get(key)) is not None:
+            return known
+        if not names:
+            raise RefusalError("names", "names no joint")
+        first_of: dict[type[StrEnum], str] = {}
+        seen: set[str] = set()
+        for name in names:
+            if name not in self._index:
+                raise RefusalError("names", f"unknown joint {name[:64]!r}; joints are named in robot.yaml")
+            if name in seen:
+                raise RefusalError("names", f"joint {name!r} is named twice")
+            seen.add(name)
+            first_of.setdefault(self._upper_body.owners[name], name)
+        joints = np.array([self._index[name] for name in names], dtype=np.intp)
+        layout = Layout(joints, frozenset(first_of), first_of)
+        if len(self._layouts) >= _LAYOUTS:
+            self._layouts.clear()
+        self._layouts[key] = layout
+        return layout

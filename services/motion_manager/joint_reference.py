@@ -1,0 +1,157 @@
+"""Where every joint shall be: the one place that positions commanded to the robot come from.
+
+Joints hold, follow set-points, or move to a posture. Whatever they do, and whenever that changes, the limiter stands
+between it and the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.limiter import JointLimiter
+from motion_manager.posture_move import PostureMove
+from valor_common.robot import FloatVector, RobotDescription
+
+Joints = npt.NDArray[np.bool_]  # (n,) which ones
+
+SETPOINT_HORIZON = 0.02  # a set-point with velocity runs on for this long [s]: five periods of the VRC
+MOVE_VELOCITY_FACTOR = 0.3  # of a joint's velocity limit, in moves to a posture
+MOVE_VELOCITY = 0.6  # the same, at most [rad/s]
+SHORTEST_MOVE = 0.5  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Where k joints shall be at a time, within their limits."""
+
+    joints: npt.NDArray[np.intp]  # (k,) their places in every joint vector
+    position: FloatVector  # (k,) [rad]
+    velocity: FloatVector  # (k,) [rad/s]
+    acceleration: FloatVector  # (k,) [rad/s²]
+    time: float  # robot time [s]
+
+
+class JointReference:
+    """The reference of all joints, advanced once a control period.
+
+    Times are robot time [s].
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        n = len(robot.joints)
+        self._limiter = JointLimiter(robot)
+        self._move_velocity = np.minimum(MOVE_VELOCITY_FACTOR * robot.velocity_limit, MOVE_VELOCITY)
+        self._setpoint = self._limiter.position.copy()
+        self._setpoint_velocity = np.zeros(n)
+        self._setpoint_acceleration = np.zeros(n)
+        self._setpoint_time = np.zeros(n)
+        self._target_acceleration = np.zeros(n)
+        self._move: PostureMove | None = None
+        self._moving: Joints = np.zeros(n, dtype=bool)
+        self._running_on = False  # whether a set-point with velocity or acceleration is in force
+
+    @property
+    def position(self) -> FloatVector:
+        """(n,) commanded [rad]; a new array every period."""
+        return self._limiter.position
+
+    @property
+    def velocity(self) -> FloatVector:
+        """(n,) commanded [rad/s]."""
+        return self._limiter.velocity
+
+    @property
+    def acceleration(self) -> FloatVector:
+        """(n,) of what is followed, for feed-forward [rad/s²]."""
+        return self._target_acceleration
+
+    @property
+    def acceleration_limit(self) -> FloatVector:
+        """(n,) [rad/s²]."""
+        return self._limiter.acceleration_limit
+
+    def take_up(self, joints: Joints, position: FloatVector) -> None:
+        """Hold joints where they are found: the only way a reference changes without passing the limiter.
+
+        For joints that were not held by this reference until now.
+        """
+        self._limiter.reset(joints, position)
+        self.hold(joints)
+
+    def hold(self, joints: Joints) -> None:
+        """Brake and stay."""
+        self._leave_move(joints)
+        np.copyto(self._setpoint, self._limiter.stopping_point(), where=joints)
+        self._setpoint_velocity[joints] = 0.0
+        self._setpoint_acceleration[joints] = 0.0
+
+    def follow(self, setpoint: Setpoint) -> None:
+        """Follow a set-point from now on."""
+        joints = setpoint.joints
+        if self._move is not None:
+            moving = np.zeros_like(self._moving)
+            moving[joints] = True
+            self._leave_move(moving)
+        self._setpoint[joints] = setpoint.position
+        self._setpoint_velocity[joints] = setpoint.velocity
+        self._setpoint_acceleration[joints] = setpoint.acceleration
+        self._setpoint_time[joints] = setpoint.time
+        self._running_on = True
+
+    def move(self, joints: Joints, goal: FloatVector, now: float) -> PostureMove:
+        """Move joints to a posture, all arriving together; a move that is under way ends."""
+        if self._move is not None:
+            self.hold(self._moving)
+        start = self._limiter.position
+        self._move = PostureMove(
+            start,
+            np.where(joints, goal, start),
+            velocity=self._move_velocity,
+            acceleration=self._limiter.acceleration_limit,
+            began=now,
+            shortest=SHORTEST_MOVE,
+        )
+        self._moving = joints.copy()
+        np.copyto(self._setpoint, self._move.goal, where=joints)
+        self._setpoint_velocity[joints] = 0.0
+        self._setpoint_acceleration[joints] = 0.0
+        return self._move
+
+    def _leave_move(self, joints: Joints) -> None:
+        """These joints take no further part in a move."""
+        if self._move is not None:
+            self._moving = self._moving & ~joints
+            if not self._moving.any():
+                self._move = None
+
+    def advance(self, now: float, dt: float) -> None:
+        """Go one control period."""
+        target, velocity, acceleration = self._setpoint, self._setpoint_velocity, self._setpoint_acceleration
+        if self._running_on:
+            since = now - self._setpoint_time
+            age = np.maximum(np.minimum(since, SETPOINT_HORIZON), 0.0)
+            target = target + age * (velocity + (0.5 * age) * acceleration)
+            fresh = since < SETPOINT_HORIZON
+            velocity = fresh * (velocity + age * acceleration)
+            acceleration = fresh * acceleration
+            if not fresh.any():
+                self._come_to_rest(target)
+        if self._move is not None:
+            position, move_velocity, move_acceleration = self._move.at(now)
+            target = np.where(self._moving, position, target)
+            velocity = np.where(self._moving, move_velocity, velocity)
+            acceleration = np.where(self._moving, move_acceleration, acceleration)
+            if self._move.progress(now) >= 1.0:
+                self._move = None
+        self._target_acceleration = acceleration
+        self._limiter.advance(target, velocity, dt)
+
+    def _come_to_rest(self, target: FloatVector) -> None:
+        """No set-point is fresh: what they had run on to is where the joints stay."""
+        self._setpoint = target
+        self._setpoint_velocity = np.zeros_like(target)
+        self._setpoint_acceleration = np.zeros_like(target)
+        self._running_on = False

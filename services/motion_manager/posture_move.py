@@ -1,0 +1,69 @@
+"""A move of joints from where they are to a posture: minimum jerk, all arriving together, at limited speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from valor_common.robot import FloatVector
+
+# Of s(τ) = 10τ³ − 15τ⁴ + 6τ⁵ (Flash and Hogan, 1985), τ from 0 to 1.
+_PEAK_VELOCITY = 1.875
+_PEAK_ACCELERATION = 10.0 / 3.0**0.5
+
+
+class PostureMove:
+    """Joints on their way to a posture.
+
+    Attributes:
+        goal: (n,) [rad].
+        duration: [s].
+    """
+
+    def __init__(
+        self,
+        start: FloatVector,
+        goal: FloatVector,
+        *,
+        velocity: FloatVector,
+        acceleration: FloatVector,
+        began: float,
+        shortest: float,
+    ) -> None:
+        """Plan the move.
+
+        Args:
+            start: (n,) where the joints are, at rest [rad].
+            goal: (n,) [rad].
+            velocity: (n,) greatest speed [rad/s].
+            acceleration: (n,) greatest acceleration [rad/s²].
+            began: robot time of the start [s].
+            shortest: the least duration, above 0 [s].
+        """
+        self._start, self.goal, self._began = start.copy(), goal.copy(), began
+        self._way: FloatVector = self.goal - self._start
+        distance = np.abs(self._way)
+        self.duration = max(
+            shortest,
+            _PEAK_VELOCITY * float(np.max(distance / velocity, initial=0.0)),
+            float(np.sqrt(_PEAK_ACCELERATION * np.max(distance / acceleration, initial=0.0))),
+        )
+
+    def progress(self, now: float) -> float:
+        """Time passed as a part of the duration, 0 to 1."""
+        return min(1.0, max(0.0, (now - self._began) / self.duration))
+
+    def remaining(self, now: float) -> float:
+        """[s]."""
+        return self.duration * (1.0 - self.progress(now))
+
+    def gone(self, now: float) -> float:
+        """Part of the way gone, 0 to 1."""
+        tau = self.progress(now)
+        return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
+
+    def at(self, now: float) -> tuple[FloatVector, FloatVector, FloatVector]:
+        """Position [rad], velocity [rad/s] and acceleration [rad/s²], (n,) each."""
+        tau = self.progress(now)
+        rate = 30.0 * tau**2 * (1.0 - tau) ** 2 / self.duration
+        change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / self.duration**2
+        return self._start + self.gone(now) * self._way, rate * self._way, change * self._way
