@@ -127,6 +127,7 @@ class FallDetection(Table):
     tilt: Positive  # of the pelvis from upright [rad]
     height: Positive  # of the pelvis above the lower sole, as a fraction of its nominal height
     dcm_margin: Positive  # of the DCM outside the support polygon [m]
+    dcm_duration: NonNegative = 0.02  # for which it must be outside by more [s]
 
 
 class Footsteps(Table):
@@ -175,6 +176,31 @@ class WholeBody(Table):
     leg_posture_weight: Positive = 0.02
     posture_stiffness: Positive = 60.0
     posture_damping: Positive = 14.0
+    dcm_integral_gain: NonNegative = 1.0  # [1/s]
+    dcm_integral_limit: NonNegative = 0.05  # [m]
+    dcm_integral_hold: Positive = 0.03  # DCM error above which the integral waits [m]
+    com_shift_limit: NonNegative = 0.05  # horizontal, of the CoM's reference with the arms; 0: thesis behaviour [m]
+    com_shift_bandwidth: Positive = 20.0  # [rad/s]
+    support_bandwidth: Positive = 2.0  # at which the CoM's reference follows the soles [rad/s]
+    blend_duration: Positive = 2.0  # from the state at the start to the nominal stance [s]
+    limit_approach: Positive = 10.0  # velocity allowed per distance to a joint's stop [1/s]
+    limit_response: Positive = 50.0  # deceleration per velocity above what is allowed [1/s]
+
+
+class Estimator(Table):
+    """How far the floating-base estimator trusts what it is told."""
+
+    attitude_time_constant: Positive = 0.1  # from the gyroscope to the IMU's attitude [s]
+    heading_time_constant: Positive = 1.0  # from the IMU's heading to the standing feet's [s]
+    joint_velocity_bandwidth: Positive = 50.0  # of the low-pass on measured joint velocities [Hz]
+    acceleration_deviation: Positive = 0.3  # of the accelerometer in odom, per sample [m/s²]
+    bias_walk: Positive = 0.02  # of the accelerometer's bias [m/s²/√s]
+    leg_position_deviation: Positive = 0.002  # of leg odometry, per sample [m]
+    leg_velocity_deviation: Positive = 0.02  # [m/s]
+    anchor_time_constant: Positive = 5.0  # in which a slipped foot's old place is forgotten [s]
+    hang_time_constant: Positive = 0.3  # in which velocity fades without contact [s]
+    contact_on: Positive = 0.08  # of the robot's weight: a foot in contact from here
+    contact_off: Positive = 0.04  # until here
 
 
 class RobotTables(Table):
@@ -199,6 +225,7 @@ class RobotTables(Table):
     fall: FallDetection
     footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
     whole_body: WholeBody = WholeBody()
+    estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 
     @model_validator(mode="after")
