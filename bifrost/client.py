@@ -98,6 +98,7 @@ class Client(Generic[M, R]):
             self._node.discovery.unwatch(self._watch)
             self._node.discovery.withdraw(self._key)
             self._disconnect()
+            self._node.forget(self)
 
     def _ready_socket(self, deadline: float, timeout: float) -> tuple[zmq.Socket[bytes], Peer]:
         """A socket with a live connection to the newest server."""
@@ -119,7 +120,8 @@ class Client(Generic[M, R]):
             if socket.poll(int(min(_SLICE, remaining) * 1000) + 1, zmq.POLLOUT):
                 return socket, peer
         if peer is None:
-            raise NoServerError(f"{self.topic}: no server within {timeout:g} s")
+            daemon = "" if self._node.discovery.connected else f"; {self._node.daemon_silent}"
+            raise NoServerError(f"{self.topic}: no server within {timeout:g} s{daemon}")
         self._disconnect()
         raise TimeoutError(f"{self.topic}: no connection to {peer.node} within {timeout:g} s")
 

@@ -282,6 +282,7 @@ class Discovery:
             self._heard = time.monotonic()
             with self._lock:
                 self._take(message)
+                self._changed.notify_all()
 
     def _take(self, message: d.FromDaemon) -> None:
         state = self._state

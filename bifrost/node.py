@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
-from typing import Any, Protocol, Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
 import zmq
 
@@ -26,6 +26,9 @@ _NAME = re.compile(r"[A-Za-z0-9_.~-]+(/[A-Za-z0-9_.~-]+)*")
 
 class _Closable(Protocol):
     def close(self) -> None: ...
+
+
+C = TypeVar("C", bound=_Closable)
 
 
 class Node:
@@ -65,7 +68,7 @@ class Node:
         """Publish on a topic.
 
         Raises:
-            ValueError: no name for a topic, or this node publishes it already.
+            ValueError: no name for a topic.
             TypeError: a field of the type is none that a message can have.
         """
         self._check(topic)
@@ -111,7 +114,7 @@ class Node:
             TimeoutError: the daemon has not answered within ``timeout`` [s].
         """
         if not self.discovery.wait_change(lambda: self.discovery.registered, timeout):
-            raise TimeoutError(f"bifrostd at {self.network.computer.daemon} has not answered within {timeout:g} s")
+            raise TimeoutError(f"{self.daemon_silent} (waited {timeout:g} s)")
         return Graph.from_records(self.discovery.records())
 
     def close(self) -> None:
@@ -145,12 +148,23 @@ class Node:
         """Let the discovery thread wake a subscriber: it publishes the bare topic when its publishers change."""
         socket.connect(WAKE_ENDPOINT)
 
+    @property
+    def daemon_silent(self) -> str:
+        """What to tell a person when the daemon does not answer."""
+        return f"bifrostd at {self.network.computer.daemon} does not answer"
+
+    def forget(self, child: _Closable) -> None:
+        """A child has closed."""
+        with self._lock:
+            if child in self._children:
+                self._children.remove(child)
+
     def _check(self, topic: str) -> None:
         if self._closed:
             raise Error(f"node {self.name} is closed")
         _check_name("topic", topic)
 
-    def _keep(self, child: Any) -> Any:
+    def _keep(self, child: C) -> C:
         with self._lock:
             self._children.append(child)
         return child

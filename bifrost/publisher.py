@@ -82,3 +82,4 @@ class Publisher(Generic[M]):
         if not self._closed:
             self._closed = True
             self._node.discovery.withdraw(self._key)
+            self._node.forget(self)

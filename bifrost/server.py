@@ -76,6 +76,10 @@ class Server(Generic[M, R]):
         """Whether a request waits. Never blocks."""
         return bool(self.socket.getsockopt(zmq.EVENTS) & zmq.POLLIN)
 
+    def holding(self) -> bool:
+        """Whether a request waits outside the socket, where polling does not see it: never."""
+        return False
+
     def fileno(self) -> int:
         """A descriptor for an event loop; call ``serve`` after it becomes readable and before the first wait."""
         return int(self.socket.getsockopt(zmq.FD))
@@ -86,21 +90,23 @@ class Server(Generic[M, R]):
             self._closed = True
             self._node.discovery.withdraw(self._key)
             self.socket.close()
+            self._node.forget(self)
 
     def _answer(self, frame: bytes) -> bytes | None:
-        topic, nul, rest = frame.partition(b"\0")
+        prefix = self._prefix
+        rest = frame[len(prefix) :] if frame.startswith(prefix) else frame.partition(b"\0")[2]
         try:
             version, request_hash, reply_hash, request_id, computer, deadline, length = wire.REQUEST.unpack_from(rest)
         except StructError:
             self.rejected += 1
             return None
-        if version != wire.VERSION or not nul:
+        if version != wire.VERSION:
             self.rejected += 1
             return None
         start = wire.REQUEST.size
         origin = rest[start : start + length].decode(errors="replace")
         payload = memoryview(rest)[start + length :]
-        if topic + nul != self._prefix:
+        if not frame.startswith(prefix):
             return self._refuse(request_id, wire.OTHER_TOPIC, self.topic)
         if (request_hash, reply_hash) != (self._request.hash, self._reply.hash):
             return self._refuse(

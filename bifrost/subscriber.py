@@ -106,18 +106,22 @@ class Subscriber(Generic[M]):
         Returns:
             None after the time-out.
         """
-        deadline = None if timeout is None else time.monotonic() + timeout
+        if timeout is not None and timeout <= 0.0:
+            return self._next() if self._keep_all else self.latest()
+        deadline = 0.0 if timeout is None else time.monotonic() + timeout
+        milliseconds = -1 if timeout is None else int(timeout * 1000.0) + 1
         while True:
-            received = self._next() if self._keep_all else self.latest()
-            if received is not None:
-                return received
-            if deadline is None:
-                self._wait(-1)
-            else:
+            # What waits is returned by the same call that would wait: one call into ZeroMQ a message.
+            if self._waiting or self._wait(milliseconds):
+                several = len(self._connected) > 1  # each publisher has a newest message of its own
+                received = self._next() if self._keep_all or not several else self.latest()
+                if received is not None:
+                    return received
+            if timeout is not None:
                 remaining = deadline - time.monotonic()
                 if remaining <= 0.0:
                     return None
-                self._wait(int(remaining * 1000) + 1)
+                milliseconds = int(remaining * 1000.0) + 1
 
     def drain(self) -> list[Received[M]]:
         """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks."""
@@ -155,6 +159,10 @@ class Subscriber(Generic[M]):
         """Whether a message waits. Never blocks."""
         return bool(self._waiting) or self._pump()
 
+    def holding(self) -> bool:
+        """Whether a message waits outside the socket, where polling does not see it."""
+        return bool(self._waiting)
+
     def close(self) -> None:
         """Unsubscribe and close the socket."""
         if not self._closed:
@@ -162,19 +170,20 @@ class Subscriber(Generic[M]):
             self._node.discovery.unwatch(self._watch)
             self._node.discovery.withdraw(self._key)
             self.socket.close()
+            self._node.forget(self)
 
     # --- receiving ------------------------------------------------------------------------------------------------
 
-    def _wait(self, milliseconds: int) -> None:
-        """Block until something arrives, and take it."""
+    def _wait(self, milliseconds: int) -> bool:
+        """Block until something arrives, and take it; whether it is a message."""
         if milliseconds != self._timeout:
             self.socket.setsockopt(zmq.RCVTIMEO, milliseconds)
             self._timeout = milliseconds
         try:
             frame = self._recv()
         except zmq.Again:
-            return
-        self._take(frame)
+            return False
+        return self._take(frame)
 
     def _pump(self) -> bool:
         """Take one message from the socket into ``_waiting``; False when there is none."""

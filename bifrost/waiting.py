@@ -18,6 +18,10 @@ class Waitable(Protocol):
         """Whether something waits."""
         ...
 
+    def holding(self) -> bool:
+        """Whether something waits outside the socket, where polling does not see it."""
+        ...
+
 
 W = TypeVar("W", bound=Waitable)
 
@@ -35,14 +39,14 @@ def wait(items: Sequence[W], timeout: float | None = None) -> list[W]:
     deadline = None if timeout is None else time.monotonic() + timeout
     polled = [(item.socket, zmq.POLLIN) for item in items]
     while True:
-        ready = [item for item in items if item.ready()]
-        if ready:
-            return ready
-        if deadline is None:
-            milliseconds = -1
+        held = any(item.holding() for item in items)
+        remaining = 0.0 if deadline is None else deadline - time.monotonic()
+        if held or (deadline is not None and remaining <= 0.0):
+            milliseconds = 0
         else:
-            remaining = deadline - time.monotonic()
-            if remaining <= 0.0:
-                return []
-            milliseconds = int(remaining * 1000) + 1
-        zmq.zmq_poll(polled, milliseconds)
+            milliseconds = -1 if deadline is None else int(remaining * 1000.0) + 1
+        polled_ready = dict(zmq.zmq_poll(polled, milliseconds))
+        # A socket may have woken for news of publishers, or for a message that is refused: nothing for the caller.
+        ready = [item for item in items if item.holding() or (item.socket in polled_ready and item.ready())]
+        if ready or (deadline is not None and remaining <= 0.0):
+            return ready
