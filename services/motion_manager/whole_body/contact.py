@@ -1,0 +1,70 @@
+"""Contact forces of the feet as non-negative generators.
+
+Each sole has four contact points, each point a friction pyramid of four edges; a force in the pyramid is a
+non-negative sum ρ of its edges. Sums of such forces have their centre of pressure within the points' rectangle: the
+CoP limit, unilaterality and friction are all of ρ ≥ 0 (Koolen et al. 2016, section 4.2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motion_manager.whole_body.state import FloatArray
+from valor_common.robot import Foot, RobotDescription
+
+POINTS = 4
+EDGES = 4
+GENERATORS = POINTS * EDGES  # a foot
+
+
+def contact_points(foot: Foot, inset: float) -> FloatArray:
+    """(4, 3) contact points in the sole's frame [m], pulled in from the edges by ``inset``."""
+    x = (foot.heel + inset, foot.toe - inset)
+    y = (foot.half_width - inset, -foot.half_width + inset)
+    return np.array([(px, py, 0.0) for px in x for py in y])
+
+
+def sole_generators(points: FloatArray, friction: float) -> FloatArray:
+    """(6, 16) wrenches (force, torque at the sole's origin, in sole) of unit vertical force along each edge.
+
+    The edges lie within the cone of ``friction``: a pyramid inscribed, tangential parts μ/√2 along both axes.
+    """
+    t = friction / np.sqrt(2.0)
+    edges = np.array([(t, t, 1.0), (t, -t, 1.0), (-t, t, 1.0), (-t, -t, 1.0)])
+    wrenches = [np.concatenate((edge, np.cross(point, edge))) for point in points for edge in edges]
+    return np.array(wrenches).T
+
+
+class FootContacts:
+    """Generators of both feet, turned into generalised forces.
+
+    Attributes:
+        count: 32 generators, 16 of the left foot first.
+        forces: (32, nv) generalised force of each generator: wrenchᵀ·J.
+    """
+
+    def __init__(self, robot: RobotDescription, nv: int) -> None:
+        feet, table = robot.tables.feet, robot.tables.whole_body
+        self.points = np.array([contact_points(foot, table.contact_inset) for foot in (feet.left, feet.right)])
+        self.count = 2 * GENERATORS
+        self.forces = np.zeros((self.count, nv))
+        generators = np.array([sole_generators(points, table.friction).T for points in self.points])
+        self._in_sole = generators.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3).copy()  # foot, force|torque
+        self._in_odom = np.zeros((2, GENERATORS, 6))
+        self._parts = self._in_odom.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3)
+
+    def update(self, sole_jacobian: FloatArray, sole_rotation: FloatArray) -> None:
+        """Turn the generators with the soles.
+
+        Args:
+            sole_jacobian: (12, nv) left linear, left angular, right linear, right angular, in odom.
+            sole_rotation: (2, 3, 3).
+        """
+        np.matmul(self._in_sole, sole_rotation.transpose(0, 2, 1)[:, None], out=self._parts)
+        np.dot(self._in_odom[0], sole_jacobian[:6], self.forces[:GENERATORS])
+        np.dot(self._in_odom[1], sole_jacobian[6:], self.forces[GENERATORS:])
+
+    def vertical_forces(self, rho: FloatArray) -> FloatArray:
+        """(2,) vertical force of each foot [N]."""
+        vertical = self._in_odom[:, :, 2].ravel() * rho
+        return np.array((vertical[:GENERATORS].sum(), vertical[GENERATORS:].sum()))

@@ -1,0 +1,217 @@
+"""The Whole-Body Controller: torques and set-points that balance the robot (thesis 3.4.2).
+
+Each control period: the reference of standing goes on; the DCM law turns the DCM's error into the CoM's acceleration;
+orientation, foot and posture tasks say what else is wanted; the QP finds contact forces and joint accelerations; the
+inverse dynamics gives torques; joints that are not driven by force get set-points that integrate the accelerations.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from motion_manager.whole_body import rotation
+from motion_manager.whole_body.arms import UpperBodyKinematics
+from motion_manager.whole_body.contact import FootContacts
+from motion_manager.whole_body.dcm import DcmLaw
+from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, ModelJoints
+from motion_manager.whole_body.elimination import NotSolvable
+from motion_manager.whole_body.limits import JointLimits
+from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
+from motion_manager.whole_body.reference import StandReference
+from motion_manager.whole_body.state import (
+    FloatArray,
+    QpStatus,
+    RobotState,
+    UpperBodyReference,
+    WholeBodyCommand,
+)
+from motion_manager.whole_body.tasks import Objective
+from valor_common.model import Model
+from valor_common.robot import RobotDescription
+
+_log = logging.getLogger(__name__)
+
+CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up for a distant reference at most
+
+
+class WholeBodyController:
+    """Standing on both feet, with set-points for waist and arms.
+
+    Attributes:
+        integral: (3,) of the DCM law [m]: what the model has wrong.
+        qp_failures: periods without a solution since the controller was made.
+    """
+
+    def __init__(self, robot: RobotDescription, model: Model) -> None:
+        table = robot.tables.whole_body
+        joints = ModelJoints(model)
+        self._table = table
+        self._joints = joints
+        self._count = len(robot.joints)
+        self._effort_limit = robot.effort_limit
+        self._servo_damping = robot.servo_damping
+        self._lower, self._upper = robot.lower[joints.places], robot.upper[joints.places]
+        self._upper_body = UpperBodyKinematics(model)
+        omega = DcmLaw.natural_frequency(self._upper_body.nominal_com_height, -float(model.mj.opt.gravity[2]))
+        self._law = DcmLaw(
+            omega,
+            table.dcm_gain,
+            table.dcm_integral_gain,
+            table.dcm_integral_limit,
+            table.dcm_integral_hold,
+        )
+        self._reference = StandReference(model, table, omega, self._upper_body)
+        self._objective = Objective(table, joints)
+        self._contacts = FootContacts(robot, model.mj.nv)
+        self._limits = JointLimits(robot, table, joints.places)
+        self._bounds = Bounds(
+            np.concatenate((-self._limits.effort, np.zeros(joints.count))),
+            np.concatenate((self._limits.effort, np.zeros(joints.count))),
+        )
+        self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
+        self._legs = joints.group("left_leg", "right_leg")
+        self._nominal: FloatArray = robot.nominal_posture[joints.places]
+        control = [robot.tables.joints[robot.joints[place]].control for place in joints.places]
+        self._integrated = np.array([mode != "force" for mode in control])
+        self._integrated_places = joints.places[self._integrated]
+        self._catch_up = CATCH_UP * robot.velocity_limit[joints.places]
+        self._position = np.zeros(joints.count)  # set-points, of integrated joints
+        self._velocity = np.zeros(joints.count)
+        self._leg_start = np.zeros(len(self._legs))
+        self._effort = np.zeros(self._count)  # last feasible
+        self._forces = np.zeros(2)
+        self.qp_failures = 0
+
+    @property
+    def integral(self) -> FloatArray:
+        """(3,) of the DCM law [m]."""
+        return self._law.integral
+
+    def reset(self, state: RobotState) -> None:
+        """Begin to stand from ``state`` without a jump: references start there and go to nominal."""
+        position = state.joint_position[self._joints.places]
+        self._upper_body.update(position)
+        self._law.reset()
+        self._reference.reset(state)
+        self._leg_start = position[self._legs]
+        self._position[:] = np.clip(position, self._lower, self._upper)
+        self._velocity[:] = 0.0
+        self._effort = np.clip(state.joint_effort, -self._effort_limit, self._effort_limit)
+        self._forces = state.foot_forces.copy()
+
+    def update(self, state: RobotState, reference: UpperBodyReference, dt: float) -> WholeBodyCommand:
+        """One control period.
+
+        Args:
+            state: the estimate; its ``dynamics`` are at it.
+            reference: of waist and arms.
+            dt: since the last period [s].
+        """
+        places, dynamics = self._joints.places, state.dynamics
+        position, velocity = dynamics.joint_position.copy(), dynamics.joint_velocity.copy()
+        np.copyto(position, self._position, where=self._integrated)
+        np.copyto(velocity, self._velocity, where=self._integrated)
+        wanted = reference.position[places]
+        self._upper_body.update(wanted)
+        self._reference.update(state, dt)
+        self._momentum_tasks(state, dt)
+        self._orientation_tasks(state)
+        self._posture_tasks(position, velocity, wanted, reference)
+        n = self._joints.count
+        self._bounds.lower[n:], self._bounds.upper[n:] = self._limits.acceleration(position, velocity)
+        try:
+            self._objective.update(dynamics)
+            self._contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+            solution = self._qp.solve(self._objective, dynamics, self._contacts.forces, self._bounds)
+        except NotSolvable as error:
+            return self._last_feasible(state, str(error))
+        return self._command(state, solution, dt)
+
+    def _momentum_tasks(self, state: RobotState, dt: float) -> None:
+        reference, wanted = self._reference, self._objective.acceleration
+        point = self._law.repellent_point(state.dcm_in_odom, reference.dcm, reference.vrp, dt)
+        wanted[COM] = self._law.acceleration(state.com_in_odom, point)
+        dynamics = state.dynamics
+        momentum = dynamics.task_velocity[MOMENTUM]
+        wanted[MOMENTUM] = momentum * -self._table.angular_momentum_gain
+        np.multiply(dynamics.task_velocity[SOLES], -self._table.foot_damping, out=wanted[SOLES])
+        left = wanted[12:15]
+        left -= state.pelvis_linear_velocity_in_odom * self._table.foot_damping
+        right = wanted[18:21]
+        right -= state.pelvis_linear_velocity_in_odom * self._table.foot_damping
+
+    def _orientation_tasks(self, state: RobotState) -> None:
+        table, wanted, dynamics = self._table, self._objective.acceleration, state.dynamics
+        stiffness, damping = table.orientation_stiffness, table.orientation_damping
+        for rows, desired, actual in (
+            (CHEST, self._reference.chest, dynamics.chest_rotation),
+            (PELVIS, self._reference.pelvis, dynamics.rotation),
+        ):
+            feedback = rotation.error(desired, actual)
+            feedback *= stiffness
+            feedback -= dynamics.task_velocity[rows] * damping
+            wanted[rows] = feedback
+
+    def _posture_tasks(
+        self, position: FloatArray, velocity: FloatArray, wanted: FloatArray, reference: UpperBodyReference
+    ) -> None:
+        """Joint accelerations q̈_ref + k_d·(q̇_ref + clip(k_p/k_d·(q_ref − q)) − q̇)."""
+        table, places, legs = self._table, self._joints.places, self._legs
+        rate, acceleration = reference.velocity[places], reference.acceleration[places]
+        s = self._reference.legs_blend
+        wanted[legs] = self._leg_start + s * (self._nominal[legs] - self._leg_start)
+        rate[legs] = 0.0
+        acceleration[legs] = 0.0
+        wanted -= position
+        wanted *= table.posture_stiffness / table.posture_damping
+        np.minimum(wanted, self._catch_up, out=wanted)
+        np.maximum(wanted, -self._catch_up, out=wanted)
+        wanted += rate
+        wanted -= velocity
+        wanted *= table.posture_damping
+        wanted += acceleration
+        self._objective.posture[:] = wanted
+
+    def _command(self, state: RobotState, solution: Solution, dt: float) -> WholeBodyCommand:
+        places, joint_acceleration = self._joints.places, solution.acceleration[6:]
+        self._velocity += joint_acceleration * dt
+        self._position += self._velocity * dt
+        np.clip(self._position, self._lower, self._upper, out=self._position)
+        effort, acceleration = np.zeros(self._count), np.zeros(self._count)
+        effort[places] = solution.torque
+        acceleration[places] = joint_acceleration
+        self._effort = effort
+        self._forces = self._contacts.vertical_forces(solution.rho)
+        return self._with_set_points(state, effort, acceleration, solution.status)
+
+    def _last_feasible(self, state: RobotState, reason: str) -> WholeBodyCommand:
+        """The last feasible torques, with the joints' motion damped and the set-points standing still."""
+        if self.qp_failures == 0:
+            _log.warning("whole-body QP not solved (%s); going on with the last torques, damped", reason)
+        self.qp_failures += 1
+        self._velocity[:] = 0.0
+        effort = np.zeros(self._count)
+        places = self._joints.places
+        damped = self._effort[places] - self._servo_damping[places] * state.joint_velocity[places]
+        limit = self._effort_limit[places]
+        effort[places] = np.nan_to_num(np.clip(damped, -limit, limit))
+        return self._with_set_points(state, effort, np.zeros(self._count), QpStatus.INFEASIBLE)
+
+    def _with_set_points(
+        self, state: RobotState, effort: FloatArray, acceleration: FloatArray, status: QpStatus
+    ) -> WholeBodyCommand:
+        position, velocity = state.joint_position.copy(), np.zeros(self._count)
+        position[self._integrated_places] = self._position[self._integrated]
+        velocity[self._integrated_places] = self._velocity[self._integrated]
+        return WholeBodyCommand(
+            effort=effort,
+            acceleration=acceleration,
+            position=position,
+            velocity=velocity,
+            dcm_reference_in_odom=self._reference.dcm,
+            desired_foot_forces=self._forces,
+            qp_status=status,
+            qp_failures=self.qp_failures,
+        )

@@ -1,0 +1,120 @@
+"""Exact elimination of the accelerations: the whole-body QP in contact forces alone.
+
+The full problem, with contact generators ρ (generalised forces Wᵀ·ρ, one generator a row of W) and pelvis rows b:
+
+    min ½·v̇ᵀHv̇ − gᵀv̇ + ½ε‖ρ‖²   subject to   M_b·v̇ + h_b = W_bᵀ·ρ,   ρ ≥ 0,   lⱼ ≤ cⱼ·v̇ + eⱼ − sⱼ·ρ ≤ uⱼ
+
+where each limit j is of a joint's torque (c a row of M, e = h + D·q̇, s its column of W) or of its acceleration (c a
+unit row, e = 0, s = 0). Name the limited quantity yⱼ. For fixed z = (ρ, y) the accelerations solve a least-squares
+problem with the equalities C·v̇ = B·z − e, where C = [M_b; c], B = [[W_bᵀ, 0], [s, 1]], e = [h_b; e]:
+
+    v̇ = K·(g + Cᵀλ),   λ = S⁻¹·(B·z − e − C·K·g),   K = H⁻¹,   S = C·K·Cᵀ
+
+and putting that back leaves a QP in z with simple bounds, which is feasible whatever the limits:
+
+    min ½·(B·z − r)ᵀ·S⁻¹·(B·z − r) + ½ε‖ρ‖²,   r = e + C·K·g,   0 ≤ ρ ≤ ρ_max,   l ≤ y ≤ u
+
+It has the full problem's optimum. Limits that the optimum keeps anyway need no y: begin with none.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from motion_manager.whole_body.state import FloatArray
+
+FORCE_REGULARIZATION = 1e-4  # ε [1/N²·(objective's unit)]
+VALUE_REGULARIZATION = 1e-9  # of y: S⁻¹ makes it definite already, this keeps round-off from undoing it
+
+
+class NotSolvable(ArithmeticError):
+    """The problem of this period has no solution: numbers that are not finite, or limits that cross."""
+
+
+class Limit(NamedTuple):
+    """Rows of limited quantities y = c·v̇ + e − s·ρ."""
+
+    rows: FloatArray  # (k, nv) c
+    offset: FloatArray  # (k,) e
+    forces: FloatArray  # (k, nρ) s
+
+
+class Elimination:
+    """K, and from it the reduced QP for a set of limits."""
+
+    def __init__(self, hessian: FloatArray, gradient: FloatArray) -> None:
+        """Factorise H.
+
+        Args:
+            hessian: (nv, nv) symmetric positive definite. gradient: (nv,).
+
+        Raises:
+            NotSolvable: H is not positive definite (numbers that are not finite).
+        """
+        self._factor, info = dpotrf(hessian, lower=1, clean=0)
+        if info != 0:
+            raise NotSolvable("the objective's Hessian is not positive definite")
+        self._gradient = gradient
+
+    def reduce(
+        self, mass_rows: FloatArray, bias: FloatArray, forces: FloatArray, limit: Limit | None = None
+    ) -> Reduced:
+        """The reduced QP.
+
+        Args:
+            mass_rows: (6, nv) M_b. bias: (6,) h_b. forces: (nρ, nv) W.
+            limit: quantities to bound, or None.
+
+        Raises:
+            NotSolvable: the rows are not independent or not finite.
+        """
+        base = forces[:, :6].T
+        count = forces.shape[0]
+        if limit is None:
+            rows, offset, effect = mass_rows, bias, base
+        else:
+            k = limit.rows.shape[0]
+            rows = np.concatenate((mass_rows, limit.rows))
+            offset = np.concatenate((bias, limit.offset))
+            effect = np.zeros((6 + k, count + k))
+            effect[:6, :count] = base
+            effect[6:, :count] = limit.forces
+            effect[range(6, 6 + k), range(count, count + k)] = 1.0
+        n = rows.shape[0]
+        right = np.empty((self._gradient.shape[0], n + 1), order="F")
+        right[:, :n] = rows.T
+        right[:, n] = self._gradient
+        solved, _ = dpotrs(self._factor, right, lower=1, overwrite_b=1)
+        products = rows @ solved  # C·K·[Cᵀ, g]
+        compliance, info = dpotrf(products[:, :n], lower=1, clean=0)
+        if info != 0:
+            raise NotSolvable("the constraints are not independent")
+        residual = products[:, n] + offset  # r
+        right = np.empty((n, effect.shape[1] + 1), order="F")
+        right[:, :-1] = effect
+        right[:, -1] = residual
+        scaled, _ = dpotrs(compliance, right, lower=1, overwrite_b=1)  # S⁻¹·[B, r]
+        quadratic = effect.T @ scaled
+        hessian = quadratic[:, :-1]
+        diagonal = np.einsum("ii->i", hessian)
+        diagonal[:count] += FORCE_REGULARIZATION
+        diagonal[count:] += VALUE_REGULARIZATION
+        return Reduced(np.ascontiguousarray(hessian), -quadratic[:, -1], solved, scaled)
+
+
+class Reduced(NamedTuple):
+    """min ½·zᵀ·hessian·z + gradientᵀ·z, and the way back to v̇."""
+
+    hessian: FloatArray  # (nz, nz)
+    gradient: FloatArray  # (nz,)
+    solved: FloatArray  # (nv, n+1) K·[Cᵀ, g]
+    scaled: FloatArray  # (n, nz+1) S⁻¹·[B, r]
+
+    def acceleration(self, z: FloatArray) -> FloatArray:
+        """(nv,) v̇ = K·(g + Cᵀλ)."""
+        multiplier = self.scaled[:, :-1] @ z - self.scaled[:, -1]
+        result: FloatArray = self.solved[:, -1] + self.solved[:, :-1] @ multiplier
+        return result

@@ -1,0 +1,66 @@
+"""Is the robot lost? By its tilt, its height, or a DCM that no force on the soles can bring back.
+
+The DCM moves away from the centre of pressure, ξ̇ = ω·(ξ − CoP), and the CoP stays within the support polygon: a DCM
+outside of it is lost without a step (capturability with zero steps, Koolen et al. 2012). That is known long before the
+robot tilts. A margin and a short time leave room for the estimate's error and for what the arms' swing can still do.
+"""
+
+from __future__ import annotations
+
+from math import acos, degrees, hypot
+
+from motion_manager.whole_body.state import RobotState
+from motion_manager.whole_body.support import convex_hull, corners_on_ground, distance_outside, sole_corners
+from valor_common.robot import RobotDescription
+
+
+class FallDetector:
+    """Says that the robot falls, and by which quantity."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        tables = robot.tables
+        self._limits = tables.fall
+        self._lowest = tables.fall.height * tables.nominal_base_height
+        self._corners = sole_corners(tables.feet)
+        self._outside_since: int | None = None
+
+    def reset(self) -> None:
+        """Forget how long the DCM has been outside."""
+        self._outside_since = None
+
+    def update(self, state: RobotState) -> str | None:
+        """A reason that names quantity, value and limit; None while the robot is not falling."""
+        return self._tilt(state) or self._height(state) or self._dcm(state)
+
+    def _tilt(self, state: RobotState) -> str | None:
+        tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))
+        if tilt <= self._limits.tilt:
+            return None
+        return f"pelvis tilted {degrees(tilt):.0f}°, limit {degrees(self._limits.tilt):.0f}°"
+
+    def _height(self, state: RobotState) -> str | None:
+        soles = state.sole_positions_in_odom
+        height = float(state.pelvis_position_in_odom[2]) - min(float(soles[0, 2]), float(soles[1, 2]))
+        if height >= self._lowest:
+            return None
+        return f"pelvis {height:.2f} m above the soles, limit {self._lowest:.2f} m"
+
+    def _dcm(self, state: RobotState) -> str | None:
+        x, y, _ = state.dcm_in_odom.tolist()
+        (lx, ly, _), (rx, ry, _) = state.sole_positions_in_odom.tolist()
+        limit = self._limits.dcm_margin
+        # Within the soles' own radius around the middle it is inside; the hull is needed only beyond.
+        if hypot(x - 0.5 * (lx + rx), y - 0.5 * (ly + ry)) < self._limits.dcm_margin:
+            self._outside_since = None
+            return None
+        points = corners_on_ground(self._corners, state.sole_positions_in_odom, state.sole_rotations_in_odom)
+        outside = distance_outside(convex_hull(points), x, y)
+        if outside <= limit:
+            self._outside_since = None
+            return None
+        if self._outside_since is None:
+            self._outside_since = state.time
+        lasted = 1e-9 * (state.time - self._outside_since)
+        if lasted < self._limits.dcm_duration:
+            return None
+        return f"DCM {outside:.3f} m outside the support polygon for {lasted:.3f} s, limit {limit:.3f} m"

@@ -1,0 +1,117 @@
+"""The QP of a control period: contact forces and accelerations, solved by DAQP in the reduced form.
+
+DAQP (Arnström, Bemporad & Axehill 2022) is a dual active-set method; it is called natively. Limits of joints join the
+problem only when its solution without them breaks them, one round after another until none is broken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.whole_body.dynamics import Dynamics
+from motion_manager.whole_body.elimination import Elimination, Limit, NotSolvable, Reduced
+from motion_manager.whole_body.state import FloatArray, QpStatus
+from motion_manager.whole_body.tasks import Objective
+
+ROUNDS = 8  # of limits joining the problem
+TOLERANCE = 1e-6  # of a limit [N·m, rad/s²]
+UNBOUNDED = 1e30
+
+
+@dataclass(slots=True)
+class Bounds:
+    """Limits of the model's joints in this period, torques [N·m] first, then accelerations [rad/s²]."""
+
+    lower: FloatArray  # (2·nj,)
+    upper: FloatArray  # (2·nj,)
+
+
+@dataclass(slots=True)
+class Solution:
+    """The optimum."""
+
+    acceleration: FloatArray  # (nv,) v̇
+    rho: FloatArray  # (nρ,) forces along the generators [N]
+    torque: FloatArray  # (nj,) [N·m]
+    status: QpStatus
+    limits: npt.NDArray[np.intp]  # which of the 2·nj bounds joined the problem
+
+
+class ContactForceQp:
+    """Solves for contact forces and accelerations.
+
+    Attributes:
+        rho_upper: (nρ,) upper bounds [N]; 0 for the generators of a foot that shall not push.
+    """
+
+    def __init__(self, generators: int, joint_damping: FloatArray) -> None:
+        """Args: generators: nρ. joint_damping: (nj,) viscous [N·m·s/rad]."""
+        self._count = generators
+        self._damping = joint_damping
+        self._joints = len(joint_damping)
+        self._lower = np.zeros(generators)
+        self._no_rows = np.zeros((0, generators))
+        self._none = np.zeros(0, dtype=np.intp)
+        self._values = np.zeros(2 * self._joints)
+        self.rho_upper = np.full(generators, UNBOUNDED)
+
+    def solve(self, objective: Objective, dynamics: Dynamics, forces: FloatArray, bounds: Bounds) -> Solution:
+        """Solve.
+
+        Args:
+            objective: updated at this state. dynamics: at this state.
+            forces: (nρ, nv) generalised forces of the generators.
+            bounds: of torque and acceleration.
+
+        Raises:
+            NotSolvable: numbers that are not finite, limits that cross, or the solver gave up.
+        """
+        mass, bias, n = dynamics.mass_matrix, dynamics.bias, self._joints
+        offset = bias[6:] + self._damping * dynamics.joint_velocity
+        elimination = Elimination(objective.hessian, objective.gradient)
+        values, joined = self._values, self._none
+        for _ in range(ROUNDS):
+            limit = self._limit(mass, offset, forces, joined) if joined.size else None
+            reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
+            z = self._minimum(reduced, bounds, joined)
+            acceleration, rho = reduced.acceleration(z), z[: self._count]
+            torque = mass[6:] @ acceleration + offset - rho @ forces[:, 6:]
+            values[:n] = torque
+            values[n:] = acceleration[6:]
+            broken = (values > bounds.upper + TOLERANCE) | (values < bounds.lower - TOLERANCE)
+            broken[joined] = False
+            if not broken.any():
+                if not np.isfinite(values).all():
+                    raise NotSolvable("the solution is not finite")
+                status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
+                return Solution(acceleration, rho, torque, status, joined)
+            joined = np.concatenate((joined, np.flatnonzero(broken)))
+        raise NotSolvable(f"limits of joints kept breaking after {ROUNDS} rounds")
+
+    def _limit(
+        self, mass: FloatArray, offset: FloatArray, forces: FloatArray, joined: npt.NDArray[np.intp]
+    ) -> Limit:
+        n = self._joints
+        rows, constant, effect = np.zeros((joined.size, n + 6)), np.zeros(joined.size), np.zeros((joined.size, self._count))
+        torques, accelerations = joined < n, joined >= n
+        joint = joined[torques]
+        rows[torques] = mass[6 + joint]
+        constant[torques] = offset[joint]
+        effect[torques] = forces[:, 6 + joint].T
+        rows[accelerations, 6 + joined[accelerations] - n] = 1.0
+        return Limit(rows, constant, effect)
+
+    def _minimum(self, reduced: Reduced, bounds: Bounds, joined: npt.NDArray[np.intp]) -> FloatArray:
+        lower, upper = self._lower, self.rho_upper
+        if joined.size:
+            lower = np.concatenate((lower, bounds.lower[joined]))
+            upper = np.concatenate((upper, bounds.upper[joined]))
+        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, self._no_rows, upper, lower)
+        if flag < 1:
+            raise NotSolvable(f"DAQP ended with flag {flag}")
+        minimum: FloatArray = z
+        return minimum

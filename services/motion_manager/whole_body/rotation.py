@@ -1,0 +1,109 @@
+"""Rotations as the control loop needs them: quaternions (w, x, y, z) as tuples of floats.
+
+Python floats, for a NumPy call on four numbers costs more than the arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import atan2, sqrt
+
+import numpy as np
+
+from motion_manager.whole_body.state import FloatArray
+
+Quaternion = tuple[float, float, float, float]
+
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+def quaternion(values: Iterable[float]) -> Quaternion:
+    """Four numbers as a unit quaternion.
+
+    Raises:
+        ValueError: they have no direction (all zero, or not finite).
+    """
+    w, x, y, z = map(float, values)
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    if not 1e-6 < norm < 1e6:
+        raise ValueError(f"quaternion {(w, x, y, z)} has norm {norm}, expected 1")
+    return w / norm, x / norm, y / norm, z / norm
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product a ⊗ b: first b, then a."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def conjugate(a: Quaternion) -> Quaternion:
+    """The inverse rotation."""
+    return a[0], -a[1], -a[2], -a[3]
+
+
+def small(x: float, y: float, z: float) -> Quaternion:
+    """The rotation by a rotation vector [rad] of less than about 0.3 rad (error below 1e-5)."""
+    x, y, z = 0.5 * x, 0.5 * y, 0.5 * z
+    norm = sqrt(1.0 + x * x + y * y + z * z)
+    return 1.0 / norm, x / norm, y / norm, z / norm
+
+
+def about_z(angle: float) -> Quaternion:
+    """The rotation about z by an angle [rad]."""
+    return float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))
+
+
+def matrix(a: Quaternion, out: FloatArray) -> None:
+    """Write the (3, 3) rotation matrix of a unit quaternion into ``out``."""
+    w, x, y, z = a
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
+    out[0] = (1.0 - 2.0 * (yy + zz), 2.0 * (xy - wz), 2.0 * (xz + wy))
+    out[1] = (2.0 * (xy + wz), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - wx))
+    out[2] = (2.0 * (xz - wy), 2.0 * (yz + wx), 1.0 - 2.0 * (xx + yy))
+
+
+def yaw(rotation: FloatArray) -> float:
+    """Heading of a frame's x axis [rad]."""
+    return atan2(rotation[1, 0], rotation[0, 0])
+
+
+def mean_yaw(first: FloatArray, second: FloatArray) -> float:
+    """Heading midway between two frames' x axes [rad]."""
+    return atan2(first[1, 0] + second[1, 0], first[0, 0] + second[0, 0])
+
+
+def yaw_matrix(angle: float) -> FloatArray:
+    """(3, 3) rotation about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def error(desired: FloatArray, actual: FloatArray) -> FloatArray:
+    """(3,) rotation from ``actual`` to ``desired`` in the axes both are given in: sin(θ)·axis [rad]."""
+    e = desired @ actual.T
+    return np.array((0.5 * (e[2, 1] - e[1, 2]), 0.5 * (e[0, 2] - e[2, 0]), 0.5 * (e[1, 0] - e[0, 1])))
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """(3,) axis·θ [rad] of a (3, 3) rotation below π (for set-up, not for the loop)."""
+    sine = error(rotation, np.eye(3))
+    norm = float(np.linalg.norm(sine))
+    angle = atan2(norm, 0.5 * (float(np.trace(rotation)) - 1.0))
+    return sine * (angle / norm) if norm > 1e-12 else sine
+
+
+def from_rotation_vector(vector: FloatArray) -> FloatArray:
+    """(3, 3) rotation by a rotation vector [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = vector / angle
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    result: FloatArray = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+    return result

@@ -1,0 +1,71 @@
+"""The support polygon: the convex hull of both soles' corners on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import hypot
+
+import numpy as np
+
+from motion_manager.whole_body.state import FloatArray
+from valor_common.robot import Feet
+
+Point = tuple[float, float]
+
+
+def sole_corners(feet: Feet) -> FloatArray:
+    """(2, 4, 3) corners of the left and right sole, each in its sole's frame [m]."""
+    return np.array(
+        [
+            [(x, y, 0.0) for x in (foot.heel, foot.toe) for y in (foot.half_width, -foot.half_width)]
+            for foot in (feet.left, feet.right)
+        ]
+    )
+
+
+def corners_on_ground(corners: FloatArray, positions: FloatArray, rotations: FloatArray) -> list[Point]:
+    """Both soles' corners, seen from above: eight points in odom [m].
+
+    Args:
+        corners: (2, 4, 3) in the soles' frames. positions: (2, 3). rotations: (2, 3, 3) of the soles in odom.
+    """
+    placed = np.matmul(corners, rotations.transpose(0, 2, 1)) + positions[:, None]
+    return [(x, y) for x, y, _ in placed.reshape(-1, 3).tolist()]
+
+
+def convex_hull(points: Iterable[Point]) -> list[Point]:
+    """Corners of the convex hull, counter-clockwise (Andrew 1979, monotone chain)."""
+    ordered = sorted(set(points))
+    if len(ordered) < 3:
+        return ordered
+    chains: list[list[Point]] = []
+    for run in (ordered, ordered[::-1]):
+        chain: list[Point] = []
+        for px, py in run:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2], chain[-1]
+                if (bx - ax) * (py - ay) - (by - ay) * (px - ax) > 0.0:
+                    break
+                chain.pop()
+            chain.append((px, py))
+        chains.append(chain)
+    return chains[0][:-1] + chains[1][:-1]
+
+
+def distance_outside(hull: list[Point], x: float, y: float) -> float:
+    """How far a point is outside a convex hull [m]; negative inside, by the distance to the nearest edge.
+
+    ``hull`` runs counter-clockwise and has at least three corners.
+    """
+    inside = -float("inf")  # the largest signed distance to an edge's line
+    nearest = float("inf")  # the distance to the nearest edge
+    ax, ay = hull[-1]
+    for bx, by in hull:
+        ex, ey = bx - ax, by - ay
+        length = hypot(ex, ey)
+        px, py = x - ax, y - ay
+        inside = max(inside, (px * ey - py * ex) / length)
+        t = min(1.0, max(0.0, (px * ex + py * ey) / (length * length)))
+        nearest = min(nearest, hypot(px - t * ex, py - t * ey))
+        ax, ay = bx, by
+    return nearest if inside > 0.0 else inside

@@ -1,0 +1,127 @@
+"""Plant and Whole-Body Controller in one process, without sockets: what a Motor and a Proprioceptor would carry.
+
+The plant is the simulator's own, with an actuator profile's errors; the controller has the nominal model and sees
+Proprioceptor alone. Every control period the command for period k answers the measurement at its start, as between the
+real processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import numpy.typing as npt
+
+from comms_manager.simulation.plant import Plant
+from comms_manager.simulation.sensors import Sensors
+from motion_manager.whole_body import (
+    FallDetector,
+    FloatingBaseEstimator,
+    RobotState,
+    UpperBodyReference,
+    WholeBodyCommand,
+    WholeBodyController,
+)
+from valor_common.messages import JointMode, Motor
+from valor_common.model import controller_model
+from valor_common.robot import RobotDescription, RobotTables
+
+FloatArray = npt.NDArray[np.float64]
+ROBOTS = Path(__file__).parents[3] / "robots"
+MODES = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
+
+
+def load_robot(name: str = "escher", **tables: dict[str, object]) -> RobotDescription:
+    """A robot, with values of some of its tables replaced: ``whole_body={"dcm_gain": 3.0}``."""
+    robot = RobotDescription.load(ROBOTS / name)
+    if not tables:
+        return robot
+    content = robot.tables.model_dump()
+    for table, values in tables.items():
+        content[table].update(values)
+    return RobotDescription(robot.folder, RobotTables.model_validate(content))
+
+
+class ClosedLoop:
+    """The robot, standing under control.
+
+    Attributes:
+        state, command: of the last period.
+        fall: the FallDetector's first word, and ``fall_time`` when it came [s]; None while it is silent.
+        tick_times: of each period, estimator, fall detection and controller [s].
+    """
+
+    def __init__(self, robot: RobotDescription, profile: str = "ideal", seed: int = 0) -> None:
+        self.robot = robot
+        self.plant = Plant(robot, "flat", profile, seed)
+        self.sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
+        model = controller_model(robot)
+        self.estimator = FloatingBaseEstimator(robot, model)
+        self.controller = WholeBodyController(robot, model)
+        self.detector = FallDetector(robot)
+        n = len(robot.joints)
+        self.reference = UpperBodyReference(robot.nominal_posture.copy(), np.zeros(n), np.zeros(n))
+        self.state: RobotState
+        self.command: WholeBodyCommand
+        self.fall: str | None = None
+        self.fall_time: float | None = None
+        self.tick_times: list[float] = []
+        self.sequence = 0
+        control = [joint.control for joint in robot.tables.joints.values()]
+        self._mode = np.array([MODES[word] for word in control], dtype=np.uint8)
+        impedance = self._mode == JointMode.IMPEDANCE
+        self._stiffness = np.where(impedance, robot.servo_stiffness, 0.0)
+        self._damping = np.where(impedance, robot.servo_damping, 0.0)
+        self._substeps = round(robot.control_period / self.plant.step_time)
+        self._started = False
+
+    @property
+    def time(self) -> float:
+        """Robot time [s]."""
+        return self.sequence * self.robot.control_period
+
+    def settle(self, seconds: float) -> None:
+        """Hold the nominal posture on the joints' servos, as before control."""
+        self.plant.actuators.hold(self.robot.nominal_posture)
+        for _ in range(round(seconds / self.robot.control_period)):
+            self.plant.step(self._substeps)
+            self.sequence += 1
+
+    def run(self, seconds: float, each: Callable[[ClosedLoop], None] | None = None) -> None:
+        """Go on under control; ``each`` is called after every period."""
+        for _ in range(round(seconds / self.robot.control_period)):
+            self.step()
+            if each is not None:
+                each(self)
+
+    def step(self) -> None:
+        """One control period."""
+        measured = self.sensors.measure(self.sequence, round(self.time * 1e9))
+        began = perf_counter()
+        self.state = state = self.estimator.update(measured)
+        if not self._started:
+            self.controller.reset(state)
+            self._started = True
+        reason = self.detector.update(state)
+        self.command = command = self.controller.update(state, self.reference, self.robot.control_period)
+        self.tick_times.append(perf_counter() - began)
+        if reason is not None and self.fall is None:
+            self.fall, self.fall_time = reason, self.time
+        position = np.where(self._mode == JointMode.POSITION, self.reference.position, command.position)
+        self.sequence += 1
+        self.plant.actuators.obey(
+            Motor(
+                time=state.time,
+                sequence=self.sequence,
+                proprioceptor_sequence=self.sequence - 1,
+                mode=self._mode,
+                position=position,
+                velocity=command.velocity,
+                effort=command.effort,
+                stiffness=self._stiffness,
+                damping=self._damping,
+            )
+        )
+        self.plant.step(self._substeps)
