@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import psutil
@@ -20,23 +20,13 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
 import bifrost
+from tests.conftest import RunningInstance, wait_until
 from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
 from valor_common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
-
-if TYPE_CHECKING:
-    from conftest import RunningInstance
 
 S = FootstepExecutionStatus
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 LIMIT = 30.0  # for anything to happen on a loaded machine [s]
-
-
-def wait_until(condition: Callable[[], Any], what: str) -> Any:
-    deadline = time.monotonic() + LIMIT
-    while not (value := condition()):
-        assert time.monotonic() < deadline, f"not within {LIMIT:g} s: {what}"
-        time.sleep(0.01)
-    return value
 
 
 class ScriptedMotionManager:
@@ -124,16 +114,16 @@ class Client:
         future = self._client.send_goal_async(
             ExecuteStepPlan.Goal(step_plan=plan), feedback_callback=lambda m: goal.feedback.append(m.feedback)
         )
-        goal.handle = wait_until(future.result, "the goal's response")
+        goal.handle = wait_until(future.result, LIMIT, "the goal's response")
         assert goal.handle.accepted
         goal.handle.get_result_async().add_done_callback(lambda f: setattr(goal, "result", f.result()))
         return goal
 
     def outcome(self, goal: Goal) -> tuple[int, int, str]:
         """Terminal state, flags and text."""
-        wait_until(lambda: goal.result, "the goal's result")
+        wait_until(lambda: goal.result, LIMIT, "the goal's result")
         wait_until(lambda: goal.feedback and goal.feedback[-1].stepping_status == goal.result.result.status.status,
-                   "the feedback with the text")  # fmt: skip
+                   LIMIT, "the feedback with the text")  # fmt: skip
         return goal.result.status, goal.result.result.status.status, goal.feedback[-1].status.error_msg
 
     def close(self) -> None:
@@ -179,7 +169,7 @@ def motion(instance: RunningInstance) -> Iterator[ScriptedMotionManager]:
 def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_client: Client) -> None:
     motion.says("finished", performed=3, reason="the plan before")
     goal = ros_client.send(plan())
-    wait_until(lambda: motion.requests, "the plan at the Motion Manager")
+    wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
     sent = motion.requests[0].steps
     assert [(s.step_index, s.foot) for s in sent] == [(0, 0), (1, 1), (2, 0), (3, 1)]
     np.testing.assert_array_equal(sent[2].position_in_odom, [0.2 * 3, 0.11, 0.0])
@@ -188,7 +178,7 @@ def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_clie
 
     motion.behavior = "step"
     motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
-    wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), "feedback of step 1")
+    wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), LIMIT, "feedback of step 1")
     seen = goal.feedback[-1]
     assert (seen.controller_state, seen.stepping_status) == (seen.ACTIVE, S.EXECUTING_STEP_PLAN)
     assert (seen.queue_size, seen.first_queued_step_index, seen.last_queued_step_index) == (3, 1, 3)
@@ -241,7 +231,7 @@ def test_a_broken_plan_is_refused_and_nothing_forwarded(
         assert goal.feedback[-1].status.error == error
         assert text in said
     assert not motion.requests
-    wait_until(lambda: (r := statistics.latest()) and r.message.rejected == 4, "the refusals in the statistics")
+    wait_until(lambda: (r := statistics.latest()) and r.message.rejected == 4, LIMIT, "the refusals in the statistics")
 
 
 def test_without_a_motion_manager_the_error_says_so(ros_client: Client) -> None:
@@ -258,16 +248,16 @@ def test_a_silent_motion_manager_is_told_to_stop(motion: ScriptedMotionManager, 
     assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY)
     assert "did not answer" in text
     motion.silent = False
-    wait_until(lambda: motion.requests and not motion.requests[-1].steps, "the stop")
+    wait_until(lambda: motion.requests and not motion.requests[-1].steps, LIMIT, "the stop")
 
 
 def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
     """A plan under way."""
     goal = client.send(plan())
-    wait_until(lambda: motion.requests, "the plan at the Motion Manager")
+    wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
     motion.behavior = "step"
     motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
-    wait_until(lambda: any(f.controller_state == f.ACTIVE for f in goal.feedback), "the plan under way")
+    wait_until(lambda: any(f.controller_state == f.ACTIVE for f in goal.feedback), LIMIT, "the plan under way")
     return goal
 
 
@@ -290,7 +280,7 @@ def test_the_loss_of_the_motion_manager_ends_the_plan(motion: ScriptedMotionMana
 def test_a_canceled_plan_stops(motion: ScriptedMotionManager, ros_client: Client) -> None:
     goal = begin(motion, ros_client)
     goal.handle.cancel_goal_async()
-    wait_until(lambda: not motion.requests[-1].steps, "the stop at the Motion Manager")
+    wait_until(lambda: not motion.requests[-1].steps, LIMIT, "the stop at the Motion Manager")
     assert goal.result is None
     motion.behavior = "stand"
     motion.says("finished", performed=1, reason="stopped")
