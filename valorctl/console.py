@@ -1,0 +1,59 @@
+"""What a person reads: lines on a pipe, one live line on a terminal; errors on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+
+def say(text: str) -> None:
+    """A line on stdout, at once."""
+    print(text, flush=True)
+
+
+def complain(text: str) -> None:
+    """A line on stderr."""
+    print(f"valorctl: {text}", file=sys.stderr, flush=True)
+
+
+def say_json(content: Any) -> None:
+    """An object on stdout."""
+    say(json.dumps(content, indent=2))
+
+
+class Progress:
+    """Tells how a longer work goes on: on a terminal what is waited for now stands in one line that changes."""
+
+    def __init__(self) -> None:
+        self._live = sys.stdout.isatty()
+        self._last = ""
+
+    def waiting(self, text: str) -> None:
+        """What is waited for now; shown on terminals only."""
+        if self._live and text != self._last:
+            self._last = text
+            print(f"\r\033[K… {text}", end="", flush=True)
+
+    def done(self, text: str) -> None:
+        """A step is done."""
+        self.clear()
+        say(text)
+
+    def clear(self) -> None:
+        """Take the changing line away."""
+        if self._live and self._last:
+            print("\r\033[K", end="", flush=True)
+        self._last = ""
+
+
+@contextlib.contextmanager
+def progress() -> Iterator[Progress]:
+    """A ``Progress`` that tidies up behind itself."""
+    shown = Progress()
+    try:
+        yield shown
+    finally:
+        shown.clear()

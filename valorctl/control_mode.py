@@ -1,0 +1,119 @@
+"""The control mode: what it is, and how it is changed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntFlag
+
+import bifrost
+from valor_common.errors import ValorError
+from valor_common.instance import Instance
+from valor_common.messages import ControlModeReport, MotionState
+from valor_common.topics import CONTROL_MODE, MOTION_STATE
+
+ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
+CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
+_REPORT_TIMEOUT = 2.0  # reports come ten times a second [s]
+
+
+class Flag(IntFlag):
+    """``vigir_humanoid_control_msgs/ControlModeStatus.status``."""
+
+    MODE_ACCEPTED = 1
+    MODE_REJECTED = 2
+    MODE_PREEMPTED = 4
+    MODE_PROCESSING = 8
+    MODE_DUPLICATE = 16
+    EXTERNAL_CHANGE = 32
+    ERR_UNKNOWN = 256
+    ERR_CONTROLLER_NOT_READY = 512
+    ERR_INVALID_BEHAVIOR_MODE = 1024
+    ERR_INVALID_TRANSITION = 2048
+    ERR_PRIOR_COMMAND_IN_PROGRESS = 4096
+
+
+def flag_names(status: int) -> list[str]:
+    """The flags set in a status, by name; bits that have none as hexadecimal."""
+    names = [flag.name for flag in Flag if status & flag and flag.name]
+    if rest := status & ~sum(Flag):
+        names.append(f"0x{rest:x}")
+    return names
+
+
+@dataclass(frozen=True)
+class ModeChange:
+    """What became of a request."""
+
+    requested: str
+    current: str
+    status: int
+    latency: float  # from the goal sent to its result [s]
+    reason: str  # the Motion Manager's, when it was refused; empty: none known
+
+    @property
+    def reached(self) -> bool:
+        """Whether the mode asked for is the current one now; also when it had been before."""
+        refused = self.status & (Flag.MODE_REJECTED | Flag.MODE_PREEMPTED)
+        return self.current == self.requested and not refused
+
+    def describe(self) -> str:
+        """One line."""
+        flags = ", ".join(flag_names(self.status)) or "no flags"
+        if self.reached:
+            word = "is already" if self.status & Flag.MODE_DUPLICATE else "accepted: control mode is"
+            return f"{word} {self.current} ({flags}; {self.latency * 1e3:.0f} ms)"
+        because = f"; {self.reason}" if self.reason else ""
+        return f"control mode {self.requested} refused ({flags}); stays in {self.current or 'no mode'}{because}"
+
+
+def report(instance: Instance) -> ControlModeReport:
+    """The VRC's newest report.
+
+    Raises:
+        ValorError: it is silent.
+    """
+    network = bifrost.Network.load(instance.network_file, instance.keys)
+    with bifrost.Node("valorctl", network=network) as node:
+        received = node.subscriber(CONTROL_MODE.name, ControlModeReport).receive(timeout=_REPORT_TIMEOUT)
+    if received is None:
+        raise ValorError(f"valor_ros_controller is silent: no {CONTROL_MODE.name} within {_REPORT_TIMEOUT:g} s")
+    return received.message
+
+
+def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> ModeChange:
+    """Ask the VRC for a control mode, as any ROS client would.
+
+    Args:
+        instance: must be up.
+        mode: by name.
+        check: called while waiting; may raise to give up.
+
+    Raises:
+        ValorError: no answer, or no result in time.
+    """
+    from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+    from valorctl.ros_client import RosClient
+
+    with RosClient(instance, check) as ros:
+        began = time.monotonic()
+        result = ros.call_action(ChangeControlMode, ACTION, ChangeControlMode.Goal(mode_request=mode), CHANGE_TIMEOUT)
+        latency = time.monotonic() - began
+    status = result.result
+    made = ModeChange(mode, status.current_control_mode, status.status, latency, "")
+    if made.reached:
+        return made
+    return ModeChange(mode, made.current, made.status, latency, _motion_managers_reason(instance))
+
+
+def _motion_managers_reason(instance: Instance) -> str:
+    """What the Motion Manager last changed its behavior for."""
+    network = bifrost.Network.load(instance.network_file, instance.keys)
+    with bifrost.Node("valorctl", network=network) as node:
+        received = node.subscriber(MOTION_STATE.name, MotionState).receive(timeout=0.5)
+    if received is None:
+        return "motion_manager is silent"
+    state: MotionState = received.message
+    return f"behavior {state.behavior}" + (f": {state.reason}" if state.reason else "")

@@ -1,0 +1,100 @@
+"""``demo``: a system of its own, a ROS client that makes the robot do something, one bag, and pictures of it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from valor_common.errors import ValorError
+from valor_common.instance import Instance
+from valor_common.resources import example_file
+from valor_common.robot import RobotDescription
+from valorctl import instance_setup, shutdown, startup
+from valorctl.console import Progress
+from valorctl.interruption import Interruption
+
+NAME = "demo"
+PROGRAM = "stand_and_reach.py"
+GROUPS = ("right_arm", "neck")
+
+_PROGRAM_TIMEOUT = 300.0  # [s]
+
+
+def run(instance: Instance, out: Path, progress: Progress, interruption: Interruption) -> list[Path]:
+    """Run the demonstration. Whatever happens, nothing goes on running behind it.
+
+    Args:
+        instance: of the demonstration's own.
+        out: the folder for what it leaves.
+        progress: told how it goes on.
+        interruption: ends it early.
+
+    Returns:
+        The files made: bag, measurements, pictures.
+
+    Raises:
+        ValorError: a part of it failed; says which.
+    """
+    program = example_file(PROGRAM)
+    bag, measurements = out / "demo.mcap", out / "demo.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for stale in (bag, measurements):
+            stale.unlink(missing_ok=True)
+    except OSError as error:
+        raise ValorError(f"{error.filename}: {error.strerror}") from None
+    plan = instance_setup.plan(instance_setup.Request(actuators="hardware", bag=bag))
+    settings = startup.bring_up(instance, plan, progress, interruption)
+    try:
+        _run_client(instance, program, measurements, interruption)
+    finally:
+        progress.waiting("shutting down")
+        with instance_setup.changing(instance):
+            shutdown.take_down(instance)
+        progress.done("everything is shut down")
+    return [bag, measurements, *_draw(bag, RobotDescription.load(settings.robot), out, progress, interruption)]
+
+
+def _run_client(instance: Instance, program: Path, measurements: Path, interruption: Interruption) -> None:
+    """Run the client as anybody's program would run: with the instance's environment and nothing else of ours."""
+    # A session of its own: Ctrl-C comes to us alone, and we end it in good order.
+    client = subprocess.Popen(
+        [sys.executable, str(program), "--json", str(measurements)],
+        env=os.environ | instance.environment(),
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + _PROGRAM_TIMEOUT
+    try:
+        while client.poll() is None:
+            interruption.check()
+            if time.monotonic() > deadline:
+                raise ValorError(f"{program.name} did not end within {_PROGRAM_TIMEOUT:g} s")
+            time.sleep(0.05)
+    finally:
+        if client.poll() is None:
+            client.terminate()
+            try:
+                client.wait(5.0)
+            except subprocess.TimeoutExpired:
+                client.kill()
+                client.wait()
+    if client.returncode:
+        raise ValorError(f"{program.name} failed with exit status {client.returncode}")
+
+
+def _draw(bag: Path, robot: RobotDescription, out: Path, progress: Progress, interruption: Interruption) -> list[Path]:
+    """Pictures and plots from the bag alone."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    from valor_analysis import pictures, plots
+
+    made: list[Path] = []
+    progress.waiting("drawing the robot before and after")
+    made += pictures.render_before_after(bag, robot, out)
+    interruption.check()
+    progress.waiting("plotting how well the joints followed")
+    made += plots.joint_tracking(bag, robot, GROUPS, out)
+    interruption.check()
+    return made

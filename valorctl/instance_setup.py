@@ -1,0 +1,202 @@
+"""What an instance gets before anything runs: its folder, a ROS domain of its own, a Bifrost network, its settings."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import bifrost
+from valor_common.errors import ConfigurationError, ValorError
+from valor_common.instance import ClockMode, Instance, Settings
+from valor_common.resources import profile_file, robot_folder
+from valor_common.robot import RobotDescription
+from valorctl.profile import Profile
+
+DOMAINS = range(1, 102)
+"""ROS domains whose ports lie below Linux' ephemeral ones; 0 is everybody's."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What ``valorctl up`` was asked for; None: as the profile has it."""
+
+    profile: str = "sim"
+    robot: str | None = None
+    clock: ClockMode | None = None
+    actuators: str | None = None
+    seed: int | None = None
+    world: str | None = None
+    real_time_factor: float | None = None
+    bag: Path | None = None
+    initial_mode: str | None = None  # empty: leave the robot as it starts
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A request with the profile filled in, checked against the robot."""
+
+    profile: Profile
+    settings: Settings  # but for the ROS domain, which is chosen when the instance is made
+    initial_mode: str | None
+
+
+def plan(request: Request) -> Plan:
+    """Fill in the profile's defaults and check everything that can be checked before anything is written.
+
+    Raises:
+        ConfigurationError: names the file or option and what was expected.
+    """
+    profile = Profile.load(profile_file(request.profile))
+    defaults = profile.defaults
+    robot = RobotDescription.load(robot_folder(request.robot or defaults.robot))
+    settings = Settings(
+        profile=request.profile,
+        robot=robot.folder,
+        clock=request.clock or defaults.clock,
+        actuators=request.actuators or defaults.actuators,
+        seed=defaults.seed if request.seed is None else request.seed,
+        world=request.world or defaults.world,
+        real_time_factor=(defaults.real_time_factor if request.real_time_factor is None else request.real_time_factor),
+        ros_domain_id=0,
+        bag=_bag(request.bag),
+    )
+    _expect("--actuators", settings.actuators, tuple(robot.tables.actuators))
+    initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
+    return Plan(profile, settings, initial_mode or None)
+
+
+def _bag(file: Path | None) -> Path | None:
+    if file is None:
+        return None
+    file = file.expanduser().absolute()
+    if file.is_dir():
+        raise ConfigurationError(f"--bag {file}: is a folder; expected a file name")
+    return file
+
+
+def _expect(option: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ConfigurationError(f"{option} {value!r}: expected one of {', '.join(known)}")
+
+
+def make(instance: Instance, wanted: Settings) -> Settings:
+    """Make the folder, choose the ROS domain, and write network, keys and settings.
+
+    Raises:
+        ValorError: the folder cannot be written, or no ROS domain is free.
+    """
+    try:
+        instance.folder.mkdir(parents=True, exist_ok=True)
+        instance.logs.mkdir(exist_ok=True)
+        instance.bags.mkdir(exist_ok=True)
+        if wanted.bag is not None:
+            wanted.bag.parent.mkdir(parents=True, exist_ok=True)
+        _rotate_logs(instance)
+        bifrost.Network.create(instance.network_file, instance.keys)
+        # Instances of one home choose one after the other, so that each sees what the others took.
+        with locked(instance.folder.parent / ".lock", wait=True):
+            domain = choose_domain(
+                str(instance.folder), domains_taken(instance.folder.parent, but=instance), domain_is_free
+            )
+            settings = wanted.model_copy(update={"ros_domain_id": domain})
+            _write(instance.settings_file, settings.model_dump_json(indent=2) + "\n")
+    except OSError as error:
+        raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None
+    return settings
+
+
+def _write(file: Path, text: str) -> None:
+    temporary = file.with_name(f".{file.name}.{os.getpid()}")
+    temporary.write_text(text)
+    temporary.replace(file)
+
+
+def _rotate_logs(instance: Instance) -> None:
+    """Begin logs anew; what the last ``up`` left goes to ``.1``."""
+    for log in instance.logs.glob("*.log"):
+        log.replace(log.with_name(log.name + ".1"))
+
+
+def choose_domain(key: str, taken: set[int], is_free: Callable[[int], bool]) -> int:
+    """A ROS domain that nobody uses; the search begins at a place that depends on ``key`` alone.
+
+    Raises:
+        ValorError: all are taken.
+    """
+    start = int.from_bytes(hashlib.sha256(key.encode()).digest()[:4], "big") % len(DOMAINS)
+    for offset in range(len(DOMAINS)):
+        domain = DOMAINS[(start + offset) % len(DOMAINS)]
+        if domain not in taken and is_free(domain):
+            return domain
+    raise ValorError(f"no free ROS domain: {DOMAINS[0]} to {DOMAINS[-1]} are all in use on this computer")
+
+
+def discovery_port(domain: int) -> int:
+    """The UDP port that the first participant of a domain listens on (DDSI-RTPS 2.2, 9.6.1.1: 7400 + 250·d + 10)."""
+    return 7410 + 250 * domain
+
+
+def domain_is_free(domain: int) -> bool:
+    """Whether no participant of the domain runs on this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", discovery_port(domain)))
+        except OSError:
+            return False
+    return True
+
+
+def domains_taken(home: Path, but: Instance) -> set[int]:
+    """The ROS domains of the other instances under a home."""
+    taken = set()
+    for file in home.glob("*/instance.json"):
+        if file != but.settings_file:
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                taken.add(int(json.loads(file.read_text())["ros_domain_id"]))
+    return taken
+
+
+@contextlib.contextmanager
+def locked(file: Path, wait: bool, busy: str = "") -> Iterator[None]:
+    """Hold a lock file. It is released by the kernel, however the holder ends.
+
+    Args:
+        file: made when absent; stays.
+        wait: until the lock is free; else fail at once.
+        busy: the text to fail with.
+
+    Raises:
+        ValorError: somebody else holds it.
+    """
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise ConfigurationError(f"{file}: {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            raise ValorError(busy) from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def changing(instance: Instance) -> Iterator[None]:
+    """Hold an instance while it is brought up or down.
+
+    Raises:
+        ValorError: another valorctl is at it.
+    """
+    busy = f"instance {instance.name!r} is being brought up or down by another valorctl"
+    with locked(instance.folder.parent / f".{instance.name}.lock", wait=False, busy=busy):
+        yield

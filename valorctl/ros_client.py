@@ -1,0 +1,116 @@
+"""A short-lived ROS 2 node that sends action goals into an instance.
+
+Importing rclpy takes a good part of a second: only verbs that need it import this module.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from valor_common.errors import ValorError
+from valor_common.instance import Instance
+
+_SERVER_TIMEOUT = 10.0  # until an action server is discovered [s]
+_RESPONSE_TIMEOUT = 5.0  # until it accepts or refuses a goal [s]
+_CANCEL_TIMEOUT = 2.0  # until it acknowledges that a goal is cancelled [s]
+
+
+class GoalRefusedError(ValorError):
+    """The action server refused the goal without a result."""
+
+
+class RosClient:
+    """A node on the instance's ROS domain. Used from one thread."""
+
+    def __init__(self, instance: Instance, check: Callable[[], None] = lambda: None) -> None:
+        """Join the instance.
+
+        Args:
+            instance: must be up.
+            check: called while waiting; may raise to give up.
+        """
+        os.environ.update(instance.environment())  # read by the middleware's C++ when it starts
+        self._check = check
+        self._context = rclpy.Context()
+        rclpy.init(
+            context=self._context,
+            domain_id=instance.settings().ros_domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._node = rclpy.create_node(
+            f"valorctl_{os.getpid()}",
+            context=self._context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def call_action(self, action_type: Any, name: str, goal: Any, timeout: float) -> Any:
+        """Send a goal and wait for its result. Whatever ends the wait early cancels the goal.
+
+        Args:
+            action_type: the action's class.
+            name: of the action.
+            goal: its goal.
+            timeout: for the result [s].
+
+        Returns:
+            The result message.
+
+        Raises:
+            ValorError: no such server, the goal refused, or no result in time.
+        """
+        client = ActionClient(self._node, action_type, name)
+        try:
+            self._spin(client.server_is_ready, _SERVER_TIMEOUT, f"nobody serves the action {name}")
+            accepting = client.send_goal_async(goal)
+            self._spin(accepting.done, _RESPONSE_TIMEOUT, f"{name} does not answer a goal")
+            handle = accepting.result()
+            if handle is None or not handle.accepted:
+                raise GoalRefusedError(f"{name} refused the goal")
+            finishing = handle.get_result_async()
+            try:
+                self._spin(finishing.done, timeout, f"{name}: no result")
+            except BaseException:
+                self._cancel(handle)
+                raise
+            return finishing.result().result
+        finally:
+            client.destroy()
+
+    def _cancel(self, handle: Any) -> None:
+        cancelling = handle.cancel_goal_async()
+        check, self._check = self._check, lambda: None
+        with contextlib.suppress(ValorError):
+            self._spin(cancelling.done, _CANCEL_TIMEOUT, "")
+        self._check = check
+
+    def _spin(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+        deadline = time.monotonic() + timeout
+        while not done():
+            self._check()
+            if time.monotonic() > deadline:
+                raise ValorError(f"{what} within {timeout:g} s")
+            self._executor.spin_once(timeout_sec=0.02)

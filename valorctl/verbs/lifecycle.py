@@ -1,0 +1,72 @@
+"""``up``, ``down``, ``restart``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from valor_common.instance import ClockMode, Instance
+from valorctl.console import progress, say
+from valorctl.interruption import Interruption
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    app.command()(up)
+    app.command()(down)
+    app.command()(restart)
+
+
+def up(
+    *,
+    profile: Annotated[str, typer.Option(help="A name of deploy/, or a .yaml file.")] = "sim",
+    robot: Annotated[str | None, typer.Option(help="A name of robots/, or a folder.")] = None,
+    clock: Annotated[ClockMode | None, typer.Option(help="How simulated time runs.")] = None,
+    actuators: Annotated[str | None, typer.Option(help="A profile of robot.yaml: ideal, hardware.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of all that is random in the simulation.")] = None,
+    world: Annotated[str | None, typer.Option(help="Where the robot stands.")] = None,
+    rtf: Annotated[
+        float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
+    ] = None,
+    bag: Annotated[Path | None, typer.Option(help="The recorder's file, .mcap.")] = None,
+    initial_mode: Annotated[
+        str | None, typer.Option(help="Control mode to bring the robot to; '' leaves it as it starts.")
+    ] = None,
+) -> None:
+    """Start a system; returns when every process is ready and the robot is in its initial mode."""
+    from valorctl import instance_setup, startup
+
+    instance = Instance.from_environment()
+    began = time.monotonic()
+    plan = instance_setup.plan(
+        instance_setup.Request(profile, robot, clock, actuators, seed, world, rtf, bag, initial_mode)
+    )
+    with progress() as shown, Interruption() as interruption:
+        settings = startup.bring_up(instance, plan, shown, interruption)
+    say(
+        f"instance {instance.name!r} is up in {time.monotonic() - began:.1f} s: {settings.robot.name}, "
+        f"profile {settings.profile}, {settings.clock}, ROS domain {settings.ros_domain_id}"
+    )
+
+
+def down() -> None:
+    """Stop a system and remove all it leaves but logs and bags. What is not up stays down: that is no error."""
+    from valorctl import instance_setup, shutdown
+
+    instance = Instance.from_environment()
+    with progress() as shown, Interruption(), instance_setup.changing(instance):
+        shown.waiting(f"stopping instance {instance.name!r}")
+        was_up = shutdown.take_down(instance)
+    say(f"instance {instance.name!r} is down" if was_up else f"instance {instance.name!r} was not up")
+
+
+def restart(service: Annotated[str, typer.Argument(help="One of those that `status` lists.")]) -> None:
+    """Stop a process, start it anew, and wait until it is ready."""
+    from valorctl import startup
+
+    instance = Instance.from_environment()
+    with progress() as shown, Interruption() as interruption:
+        startup.restart(instance, service, shown, interruption)

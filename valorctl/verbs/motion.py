@@ -1,0 +1,116 @@
+"""``mode``, ``arm``, ``push``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+from valor_common.errors import ValorError
+from valor_common.instance import Instance
+from valorctl.console import say, say_json
+from valorctl.interruption import Interruption
+
+_NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    app.command()(mode)
+    app.command()(arm)
+    app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
+
+
+def mode(
+    name: Annotated[str | None, typer.Argument(help="The control mode to go to; shown unless given.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Show the control mode, or change it."""
+    from valorctl import control_mode, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    if name is None:
+        report = control_mode.report(instance)
+        flags = control_mode.flag_names(report.status)
+        if json:
+            say_json(
+                {
+                    "control_mode": report.current_control_mode,
+                    "requested": report.requested_control_mode,
+                    "flags": flags,
+                    "behavior": report.behavior or None,
+                }
+            )
+        else:
+            say(
+                f"control mode {report.current_control_mode}, asked for {report.requested_control_mode or 'nothing'} "
+                f"({', '.join(flags) or 'no flags'}); behavior {report.behavior or 'not known'}"
+            )
+        return
+    with Interruption() as interruption:
+        change = control_mode.change(instance, name, check=interruption.check)
+    if json:
+        say_json(
+            {
+                "requested": change.requested,
+                "control_mode": change.current,
+                "reached": change.reached,
+                "flags": control_mode.flag_names(change.status),
+                "reason": change.reason or None,
+                "latency_s": change.latency,
+            }
+        )
+    if not change.reached:
+        raise ValorError(change.describe())
+    if not json:
+        say(change.describe())
+
+
+def arm(
+    side: Annotated[Literal["left", "right"], typer.Argument(help="Which arm.")],
+    preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's arm_presets.")],
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")
+    ] = 0.5,
+    tolerance: Annotated[float, typer.Option(min=0.0, help="For the final error of each joint [rad].")] = 0.05,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Move an arm to a preset posture and measure how well it got there."""
+    from valorctl import arm_motion, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with Interruption() as interruption:
+        motion = arm_motion.move_arm(instance, side, preset, speed=speed, tolerance=tolerance, check=interruption.check)
+    if json:
+        say_json(
+            {
+                "side": side,
+                "preset": preset,
+                "duration_s": motion.duration,
+                "arrived": motion.arrived,
+                "worst_joint": motion.worst_joint,
+                "worst_error_rad": motion.worst_error,
+                "tolerance_rad": motion.tolerance,
+            }
+        )
+    if not motion.arrived:
+        raise ValorError(f"{side} arm did not reach {preset}: {motion.describe()}")
+    if not json:
+        say(f"{side} arm in {preset} after {motion.duration:.1f} s; {motion.describe()}")
+
+
+def push(
+    x: Annotated[float, typer.Argument(help="Forward [N·s], in the world's axes.")],
+    y: Annotated[float, typer.Argument(help="To the left [N·s].")],
+    z: Annotated[float, typer.Argument(help="Up [N·s].")],
+) -> None:
+    """Push the simulated robot's chest for 0.1 s."""
+    from valorctl import push as pushing
+    from valorctl import status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    reply = pushing.push(instance, (x, y, z))
+    say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
