@@ -56,6 +56,10 @@ class PostureMove:
         """[s]."""
         return self.duration * (1.0 - self.progress(now))
 
+    def since_arrival(self, now: float) -> float:
+        """[s]; negative before."""
+        return now - self._began - self.duration
+
     def gone(self, now: float) -> float:
         """Part of the way gone, 0 to 1."""
         tau = self.progress(now)

@@ -1,0 +1,142 @@
+"""One command for every motor: what it is made of in each kind of control, and the last check before it leaves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.joint_reference import Joints
+from motion_manager.whole_body import WholeBodyCommand
+from valor_common.messages import JointMode, Motor
+from valor_common.robot import FloatVector, RobotDescription
+
+Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """How the motors are driven, (n,) each."""
+
+    mode: Modes
+    stiffness: FloatVector  # [N·m/rad]
+    damping: FloatVector  # [N·m·s/rad]
+
+
+class MotorCommand:
+    """The vectors of a Motor, (n,) each, filled anew every period by one of the methods below.
+
+    Force-controlled and impedance-controlled joints are *compliant*; the rest have the device's own position servo.
+
+    Attributes:
+        force: which joints are driven by force alone in operation.
+        impedance: which are driven by impedance.
+        saturations: joint commands at or beyond an effort limit, since start.
+        replaced: commands that were not finite and were replaced by the last good one, since start.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        n = len(robot.joints)
+        control = np.array([joint.control for joint in robot.tables.joints.values()])
+        self.force: Joints = control == "force"
+        self.impedance: Joints = control == "impedance"
+        self._compliant: Joints = self.force | self.impedance
+        self._effort_limit = robot.effort_limit
+        stiffness, damping, nothing = robot.servo_stiffness, robot.servo_damping, np.zeros(n)
+        servo, force, off = JointMode.POSITION, JointMode.FORCE, JointMode.OFF
+        self._servo = Drive(self._modes(JointMode.IMPEDANCE, JointMode.IMPEDANCE, servo), stiffness, damping)
+        self._operation = Drive(
+            self._modes(force, JointMode.IMPEDANCE, servo),
+            np.where(self.force, 0.0, stiffness),
+            np.where(self.force, 0.0, damping),
+        )
+        self._limp = Drive(self._modes(force, force, off), nothing, np.where(self._compliant, damping, 0.0))
+        self._zeros = nothing
+        self.saturations = 0
+        self.replaced = 0
+        self.drive = self._limp
+        self.position = self.velocity = self.effort = nothing
+
+    def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
+        """(n,) one mode for each way that joints are driven in operation."""
+        return np.where(self.force, force, np.where(self.impedance, impedance, position)).astype(np.uint8)
+
+    def limp(self, measured: FloatVector) -> None:
+        """No effort, only damping against motion; joints with a position servo of their own are off."""
+        self._set(self._limp, measured, self._zeros, self._zeros)
+
+    def hold(self, position: FloatVector, velocity: FloatVector, effort: FloatVector) -> None:
+        """Every joint by its servo gains, around a reference and an effort [rad, rad/s, N·m]."""
+        self._set(self._servo, position, velocity, self._compliant * effort)
+
+    def balance(
+        self,
+        command: WholeBodyCommand,
+        position: FloatVector,
+        velocity: FloatVector,
+        effort: FloatVector,
+        share: float,
+    ) -> None:
+        """The Whole-Body Controller's command, which takes over from ``hold`` bit by bit.
+
+        The torque of a joint goes linearly from one to the other, so that it does not jump at either end.
+
+        Args:
+            command: what the Whole-Body Controller wants.
+            position: (n,) the reference that ``hold`` had, and that joints with a servo of their own go on with [rad].
+            velocity: (n,) likewise [rad/s].
+            effort: (n,) likewise [N·m].
+            share: of the Whole-Body Controller, 0 to 1.
+        """
+        drive = self._operation
+        compliant_position, compliant_velocity, compliant_effort = command.position, command.velocity, command.effort
+        if share < 1.0:
+            rest = 1.0 - share
+            servo = self._servo
+            drive = Drive(
+                servo.mode,
+                np.where(self.force, rest * servo.stiffness, servo.stiffness),
+                np.where(self.force, rest * servo.damping, servo.damping),
+            )
+            compliant_position = np.where(self.force, position, share * command.position + rest * position)
+            compliant_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
+            compliant_effort = share * command.effort + rest * effort
+        self._set(
+            drive,
+            np.where(self._compliant, compliant_position, position),
+            np.where(self._compliant, compliant_velocity, velocity),
+            self._compliant * compliant_effort,
+        )
+
+    def repeat(self) -> None:
+        """The last command once more, at rest and with damping: for a period without a better one."""
+        self.velocity = self._zeros
+        drive = self.drive
+        self.drive = Drive(drive.mode, drive.stiffness, np.maximum(drive.damping, self._limp.damping))
+
+    def _set(self, drive: Drive, position: FloatVector, velocity: FloatVector, effort: FloatVector) -> None:
+        """Take a command if it is finite, within the effort limits; else repeat the last."""
+        if not math.isfinite(float(position.dot(position) + velocity.dot(velocity) + effort.dot(effort))):
+            self.replaced += 1
+            self.repeat()
+            return
+        if (beyond := int(np.count_nonzero(np.abs(effort) >= self._effort_limit))) > 0:
+            self.saturations += beyond
+            effort = np.clip(effort, -self._effort_limit, self._effort_limit)
+        self.drive, self.position, self.velocity, self.effort = drive, position, velocity, effort
+
+    def message(self, time: int, sequence: int, proprioceptor_sequence: int) -> Motor:
+        """The command as a Motor."""
+        return Motor(
+            time=time,
+            sequence=sequence,
+            proprioceptor_sequence=proprioceptor_sequence,
+            mode=self.drive.mode,
+            position=self.position,
+            velocity=self.velocity,
+            effort=self.effort,
+            stiffness=self.drive.stiffness,
+            damping=self.drive.damping,
+        )

@@ -1,0 +1,308 @@
+"""The Motion Manager without its sockets: Proprioceptor in, Motor and MotionState out.
+
+One period: watchdogs → estimate → state machines → reference → control → Motor. Whatever happens on the way, a Motor
+leaves for every Proprioceptor.
+"""
+
+from __future__ import annotations
+
+import logging
+from math import acos, degrees
+
+import numpy as np
+
+from motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from motion_manager.behaviors import BALANCING, Behavior, Locomotion
+from motion_manager.command import MotorCommand
+from motion_manager.handlers.behavior import BehaviorHandler
+from motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from motion_manager.joint_reference import JointReference
+from motion_manager.posture_control import PostureControl
+from motion_manager.rejections import Rejections
+from motion_manager.upper_body import UpperBody
+from motion_manager.watchdogs import ProprioceptorWatchdog
+from motion_manager.whole_body import (
+    FallDetector,
+    FloatingBaseEstimator,
+    QpStatus,
+    RobotState,
+    UpperBodyReference,
+    WholeBodyCommand,
+    WholeBodyController,
+)
+from valor_common.messages import MotionState, Motor, Proprioceptor
+from valor_common.model import Model
+from valor_common.robot import FloatVector, RobotDescription
+from valor_common.topics import PROPRIOCEPTOR
+
+BLEND = 0.3  # over which the Whole-Body Controller takes the joints over [s]
+FAULTS_TO_FALL = 5  # consecutive periods without a believable Proprioceptor, or with an error of ours
+QP_FAILURES_TO_STOP = 25  # consecutive
+UPRIGHT = 0.5  # of the tilt at which the robot counts as falling: at most so much to stand
+FOOT_LOAD = 0.15  # of the robot's weight: at least so much on each foot to stand
+FEET_LOAD = 0.6  # likewise on both together
+
+_log = logging.getLogger("motion_manager")
+
+
+class MotionManager:
+    """Everything between one Proprioceptor and the Motor that answers it.
+
+    Attributes:
+        fsm: the Behavior FSM.
+        rejections: of commands, and of what cannot be believed.
+        behavior_handler: answers requests for a behavior.
+        setpoints_handler: follows or refuses joint set-points.
+        footstep_handler: answers footstep plans.
+        in_control: whether a believable Proprioceptor has been answered.
+        silent: set by the loop: why no Proprioceptor comes, or an empty text.
+    """
+
+    def __init__(self, robot: RobotDescription, model: Model) -> None:
+        n = len(robot.joints)
+        self.fsm = BehaviorFsm()
+        self.rejections = Rejections()
+        self.in_control = False
+        self.silent = ""
+        self._robot = robot
+        self._dt = robot.control_period
+        self._zeros = np.zeros(max(n, 3))
+        self._estimator = FloatingBaseEstimator(robot, model)
+        self._detector = FallDetector(robot)
+        self._controller = WholeBodyController(robot, model)
+        self._weight = self._estimator.dynamics.mass * self._estimator.dynamics.gravity
+        self._watchdog = ProprioceptorWatchdog(n)
+        self._command = MotorCommand(robot)
+        self._reference = JointReference(robot)
+        self._posture = PostureControl(robot, self._reference, self._command)
+        self._upper_body = UpperBody(robot, self._reference)
+        self.behavior_handler = BehaviorHandler(self.fsm, self.rejections, self.conditions, self.out_of_control)
+        self.setpoints_handler = JointSetpointsHandler(robot, self.fsm, self._upper_body, self.rejections)
+        self.footstep_handler = FootstepPlanHandler(self.fsm, self.rejections)
+        self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
+        self._state: RobotState | None = None
+        self._whole_body: WholeBodyCommand | None = None  # of this period
+        self._falling = ""  # what the fall detector says
+        self._blend_began = 0.0
+        self._sequence = 0
+        self._proprioceptor_sequence = 0
+        self._time = 0
+        self._taken_over = 0  # robot time at which this world came into our hands [ns]
+        self._errors = 0  # consecutive
+        self._qp_failures = 0  # consecutive
+
+    # --- for the loop ---------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> int:
+        """Robot time [ns]."""
+        return self._time
+
+    @property
+    def taken_over(self) -> int:
+        """Robot time since when the robot has been in our hands without a break [ns]."""
+        return self._taken_over
+
+    @property
+    def missed(self) -> int:
+        """Proprioceptors that were not seen, since start."""
+        return self._watchdog.missed
+
+    def tick(self, proprioceptor: Proprioceptor) -> Motor:
+        """The Motor that answers a Proprioceptor."""
+        self._whole_body = None
+        try:
+            self._control(proprioceptor)
+            self._errors = 0
+        except Exception:
+            self._errors += 1
+            if self._errors == 1 or self._errors % 5000 == 0:
+                _log.exception("error in a control period; the last command goes on with damping")
+            self._repeat(proprioceptor)
+            if self._errors >= FAULTS_TO_FALL:
+                self._fall("errors of the Motion Manager, see its log")
+        self._sequence += 1
+        self._proprioceptor_sequence = proprioceptor.sequence
+        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence)
+
+    def conditions(self) -> Conditions:
+        """What the robot's condition has against transitions."""
+        state = self._state
+        if state is None:
+            missing = "the robot's state is not known yet"
+            return Conditions(missing, missing, missing)
+        not_prepared = "stand_prep has just begun"
+        if self._locomotion is Locomotion.STAND_PREP:
+            not_prepared = self._posture.not_arrived(self._time * 1e-9, state.joint_velocity)
+        return Conditions(not_prepared, self._not_loaded(state), self._falling or self._not_upright(state))
+
+    def out_of_control(self) -> str:
+        """Why there is no robot to change the behavior of; an empty text: there is one."""
+        if self.silent:
+            return self.silent
+        return "" if self.in_control else f"no {PROPRIOCEPTOR.name} yet"
+
+    # --- one period -----------------------------------------------------------------------------------------------
+
+    def _control(self, proprioceptor: Proprioceptor) -> None:
+        if fault := self._watchdog.fault(proprioceptor):
+            self.rejections.add(PROPRIOCEPTOR.name, "comms_manager", "malformed", fault)
+            if self._watchdog.malformed >= FAULTS_TO_FALL:
+                self._fall(f"{self._watchdog.malformed} consecutive Proprioceptors malformed: {fault}")
+            self._repeat(proprioceptor)
+            return
+        if self._watchdog.repeated(proprioceptor):
+            return
+        before, self._time = self._time, proprioceptor.time
+        gap = self._watchdog.discontinuity(proprioceptor)
+        if gap or not self.in_control:
+            self._begin(gap)
+            before = self._time
+        state = self._state = self._estimator.update(proprioceptor)
+        self._watch(state)
+        if self.fsm.behavior is Behavior.IDLE and not self.in_control:
+            self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
+        now = self._time * 1e-9
+        self._upper_body.enter(self.fsm.manipulation, self.fsm.attention, now)
+        if self.fsm.locomotion is not self._locomotion:
+            self._enter(state, now)
+        self._upper_body.update(now)
+        # Of periods that were missed, at most ten are made up for.
+        dt = min(max((self._time - before) * 1e-9, self._dt), 10.0 * self._dt)
+        self._reference.advance(now, dt)
+        self._drive(state, now, dt)
+        self.in_control = True
+
+    def _begin(self, gap: str) -> None:
+        """A robot comes into our hands, for the first time or after we have lost sight of it."""
+        self._taken_over = self._time
+        self._estimator.reset()
+        self._detector.reset()
+        if gap:
+            _log.warning("%s", gap)
+            self._fall(gap)
+        if self.fsm.locomotion not in (Locomotion.FALL, Locomotion.GET_UP):
+            self._locomotion = None  # whatever held the joints begins anew, from where they are found
+
+    def _watch(self, state: RobotState) -> None:
+        """Fall, when balance is lost."""
+        self._falling = ""
+        if self.fsm.locomotion in BALANCING or self.fsm.locomotion is Locomotion.STAND_PREP:
+            self._falling = self._detector.update(state) or ""
+            if self._falling and self.fsm.locomotion in BALANCING:
+                self._fall(self._falling)
+
+    def _fall(self, reason: str) -> None:
+        """Fall-safe, from wherever there is an edge to it."""
+        if self.fsm.may_go(Behavior.FALL):
+            self.fsm.go(Behavior.FALL, reason)
+
+    def _enter(self, state: RobotState, now: float) -> None:
+        """The Locomotion FSM has another state than in the last period: hand the joints over."""
+        before, locomotion = self._locomotion, self.fsm.locomotion
+        self._locomotion = locomotion
+        if locomotion in BALANCING:
+            if before not in BALANCING:
+                self._detector.reset()
+                self._controller.reset(state)
+                self._qp_failures = 0
+                self._blend_began = now
+            return
+        if locomotion in (Locomotion.FALL, Locomotion.GET_UP):
+            return
+        if before is None:
+            self._posture.take_up(state.joint_position, state.joint_effort)
+        elif before in (Locomotion.FALL, Locomotion.GET_UP):
+            self._posture.take_up(state.joint_position, np.zeros_like(state.joint_effort))
+        elif before in BALANCING:
+            self._posture.take_over(state.joint_position)
+        else:
+            self._posture.hold(now)
+        if locomotion is Locomotion.STAND_PREP:
+            self._posture.prepare(now)
+
+    def _drive(self, state: RobotState, now: float, dt: float) -> None:
+        """Fill the command of this period."""
+        if self._locomotion in (Locomotion.FALL, Locomotion.GET_UP):
+            self._command.limp(state.joint_position)
+        elif self._locomotion in BALANCING:
+            self._balance(state, now, dt)
+        else:
+            self._posture.drive(now)
+
+    def _balance(self, state: RobotState, now: float, dt: float) -> None:
+        reference = self._reference
+        command = self._whole_body = self._controller.update(
+            state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt
+        )
+        share = min(1.0, (now - self._blend_began) / BLEND)
+        self._command.balance(command, reference.position, reference.velocity, self._posture.effort(now), share)
+        self._qp_failures = self._qp_failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0
+        if self._qp_failures >= QP_FAILURES_TO_STOP and self.fsm.may_go(Behavior.SOFT_STOP):
+            self.fsm.go(
+                Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._qp_failures} periods in a row"
+            )
+
+    def _repeat(self, proprioceptor: Proprioceptor) -> None:
+        """A period without a command of its own: the last one, damped; limp once the robot is in Fall."""
+        if self.fsm.behavior is Behavior.FALL:
+            self._locomotion = Locomotion.FALL
+            self._command.limp(self._command.position)
+        else:
+            self._command.repeat()
+
+    # --- conditions for standing ----------------------------------------------------------------------------------
+
+    def _not_loaded(self, state: RobotState) -> str:
+        left, right = state.foot_forces.tolist()
+        for foot, force in (("left", left), ("right", right)):
+            if force < FOOT_LOAD * self._weight:
+                return f"the {foot} foot carries {force:.0f} N; expected at least {FOOT_LOAD * self._weight:.0f} N"
+        if left + right < FEET_LOAD * self._weight:
+            return f"the feet carry {left + right:.0f} N; expected at least {FEET_LOAD * self._weight:.0f} N"
+        return ""
+
+    def _not_upright(self, state: RobotState) -> str:
+        tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))
+        limit = UPRIGHT * self._robot.tables.fall.tilt
+        if tilt <= limit:
+            return ""
+        return f"the pelvis is tilted {degrees(tilt):.0f}°; expected at most {degrees(limit):.0f}°"
+
+    # --- what is reported -----------------------------------------------------------------------------------------
+
+    def report(self, tick_time: float) -> MotionState:
+        """What the Motion Manager did and believes, after a tick that took ``tick_time`` [s]."""
+        fsm, state, command = self.fsm, self._state, self._whole_body
+        zeros = self._zeros
+        return MotionState(
+            time=self._time,
+            proprioceptor_sequence=self._proprioceptor_sequence,
+            behavior=fsm.behavior,
+            locomotion=fsm.locomotion,
+            manipulation=fsm.manipulation,
+            attention=fsm.attention,
+            reason=fsm.reason,
+            pelvis_position_in_odom=state.pelvis_position_in_odom if state else zeros[:3],
+            pelvis_orientation_in_odom=state.pelvis_orientation_in_odom if state else np.eye(4)[0],
+            pelvis_linear_velocity_in_odom=state.pelvis_linear_velocity_in_odom if state else zeros[:3],
+            pelvis_angular_velocity_in_pelvis=state.pelvis_angular_velocity_in_pelvis if state else zeros[:3],
+            com_in_odom=state.com_in_odom if state else zeros[:3],
+            dcm_in_odom=state.dcm_in_odom if state else zeros[:3],
+            dcm_reference_in_odom=self._dcm_reference(),
+            cop_in_odom=state.cop_in_odom if state else np.full(2, np.nan),
+            contacts=state.contacts if state else np.zeros(2, dtype=np.uint8),
+            joint_setpoint=self._command.position,
+            desired_foot_forces=command.desired_foot_forces if command else zeros[:2],
+            qp_status=int(command.qp_status if command else QpStatus.NOT_RUN),
+            qp_failures=self._controller.qp_failures,
+            torque_saturations=self._command.saturations,
+            tick_time=tick_time,
+        )
+
+    def _dcm_reference(self) -> FloatVector:
+        """(3,) where the Whole-Body Controller wants the DCM; where it is, while nobody wants anything."""
+        if self._whole_body is not None:
+            return self._whole_body.dcm_reference_in_odom
+        return self._zeros[:3] if self._state is None else self._state.dcm_in_odom

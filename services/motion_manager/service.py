@@ -1,0 +1,126 @@
+"""The loop: a Proprioceptor comes, its Motor leaves, and then everything that can wait a little."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from motion_manager.manager import MotionManager
+from valor_common.messages import (
+    BehaviorReply,
+    BehaviorRequest,
+    FootstepPlanReply,
+    FootstepPlanRequest,
+    JointSetpoints,
+    MotionState,
+    Motor,
+    Proprioceptor,
+    Rejection,
+    StepStatus,
+)
+from valor_common.model import controller_model
+from valor_common.service import Context, quiet_collector
+from valor_common.topics import (
+    BEHAVIOR,
+    FOOTSTEP_PLAN,
+    JOINT_SETPOINTS,
+    MOTION_STATE,
+    MOTOR,
+    PROPRIOCEPTOR,
+    REJECTION,
+    STEP_STATUS,
+)
+
+SETPOINT_QUEUE = 16  # more than that in one control period are dropped and counted
+STEP_STATUS_PERIOD = 0.1  # [s of robot time]
+SILENCE = 1.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
+NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
+
+_log = logging.getLogger("motion_manager")
+
+
+class MotionManagerService:
+    """Bifrost around the ``MotionManager``."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._statistics = context.statistics
+        self._statistics.state("starting", "building the Whole-Body Controller")
+        node = context.node
+        self._manager = MotionManager(context.robot, controller_model(context.robot))
+        self._motor = node.publisher(MOTOR.name, Motor)
+        self._motion_state = node.publisher(MOTION_STATE.name, MotionState)
+        self._rejection = node.publisher(REJECTION.name, Rejection)
+        self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
+        self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE)
+        self._behavior = node.server(
+            BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle
+        )
+        self._footstep_plan = node.server(
+            FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle
+        )
+        # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
+        self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._changes = self._manager.fsm.changes
+        self._step_status_due = 0
+
+    def run(self) -> None:
+        """Answer every Proprioceptor until told to stop."""
+        quiet_collector()
+        self._wait_for_robot(f"no {PROPRIOCEPTOR.name} yet")
+        heard = time.perf_counter()
+        while not self._context.stopping.is_set():
+            received = self._proprioceptor.receive(NAP)
+            began = time.perf_counter()
+            if received is not None:
+                heard = began
+                self._tick(received.message, began)
+                self._attend()
+                self._statistics.cycle(began)
+                continue
+            if began - heard > SILENCE:
+                self._wait_for_robot(f"{PROPRIOCEPTOR.name} is silent: is the Comms Manager running?")
+            self._attend()
+            self._statistics.idle()
+
+    def close(self) -> None:
+        """Nothing: the node belongs to the context."""
+
+    def _wait_for_robot(self, why: str) -> None:
+        """Say that no robot is in our hands."""
+        if self._manager.silent != why:
+            self._manager.silent = why
+            self._statistics.state("starting", why)
+
+    def _tick(self, proprioceptor: Proprioceptor, began: float) -> None:
+        """One control period: the Motor first."""
+        manager = self._manager
+        for received in self._setpoints.drain():
+            manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
+        self._motor.publish(manager.tick(proprioceptor))
+        self._motion_state.publish(manager.report(time.perf_counter() - began))
+        if manager.in_control and manager.silent:
+            manager.silent = ""
+            self._statistics.state("ready")
+
+    def _attend(self) -> None:
+        """What may wait until the Motor has left: requests, reports, counts."""
+        manager = self._manager
+        self._behavior.serve()
+        self._footstep_plan.serve()
+        for rejection in manager.rejections.take():
+            self._rejection.publish(rejection)
+        if manager.time >= self._step_status_due or manager.time < self._step_status_due - 1e9:
+            self._step_status_due = manager.time + round(STEP_STATUS_PERIOD * 1e9)
+            self._step_status.publish(manager.footstep_handler.status(manager.time))
+        if manager.fsm.changes != self._changes:
+            self._changes = manager.fsm.changes
+            _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
+        self._statistics.rejected = (
+            manager.rejections.total
+            + self._setpoints.rejected
+            + self._proprioceptor.rejected
+            + self._behavior.rejected
+            + self._footstep_plan.rejected
+        )
+        self._statistics.drops = manager.missed + self._setpoints.drops

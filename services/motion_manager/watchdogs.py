@@ -1,0 +1,77 @@
+"""Whether what the robot says can be believed, and whether it comes from the world that we have been controlling."""
+
+from __future__ import annotations
+
+import math
+
+from valor_common.messages import Proprioceptor
+
+LONGEST_GAP = 0.1  # of robot time between two Proprioceptors of a robot in our hands [s]
+
+_VECTORS = (
+    ("joint_position", None), ("joint_velocity", None), ("joint_effort", None),
+    ("imu_orientation", 4), ("imu_angular_velocity", 3), ("imu_linear_acceleration", 3),
+    ("left_foot_wrench", 6), ("right_foot_wrench", 6), ("left_hand_wrench", 6), ("right_hand_wrench", 6),
+)  # fmt: skip
+
+
+class ProprioceptorWatchdog:
+    """Checks each Proprioceptor on its own and against the one before.
+
+    Continuity is judged by robot time, not by the wall's: a simulation that stands still for a minute and goes on
+    where it was is no fault; a robot that lived for 0.1 s without us is.
+
+    Attributes:
+        missed: Proprioceptors that came between two that were seen, since start.
+        malformed: consecutive ones that could not be believed.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self._vectors = tuple((name, joints if size is None else size) for name, size in _VECTORS)
+        self._time: int | None = None
+        self._sequence = 0
+        self.missed = 0
+        self.malformed = 0
+
+    def fault(self, proprioceptor: Proprioceptor) -> str:
+        """What is wrong with a Proprioceptor; an empty text: nothing."""
+        total = 0.0
+        for name, size in self._vectors:
+            vector = getattr(proprioceptor, name)
+            if vector.size != size:
+                return self._malformed(f"{name} has {vector.size} numbers; expected {size}")
+            total += vector.dot(vector)
+        if not math.isfinite(total):
+            for name, _ in self._vectors:
+                if not math.isfinite(float(getattr(proprioceptor, name).dot(getattr(proprioceptor, name)))):
+                    return self._malformed(f"{name} is not finite")
+        orientation = proprioceptor.imu_orientation
+        if abs(float(orientation.dot(orientation)) - 1.0) > 0.01:
+            return self._malformed("imu_orientation is no unit quaternion")
+        self.malformed = 0
+        return ""
+
+    def _malformed(self, reason: str) -> str:
+        self.malformed += 1
+        return reason
+
+    def repeated(self, proprioceptor: Proprioceptor) -> bool:
+        """Whether this is the one before once more: a simulation that waits for its first Motor says it again."""
+        return proprioceptor.sequence == self._sequence and proprioceptor.time == self._time
+
+    def discontinuity(self, proprioceptor: Proprioceptor) -> str:
+        """What lies between this Proprioceptor and the one before; an empty text: nothing, or there was none."""
+        time, sequence = self._time, self._sequence
+        self._time, self._sequence = proprioceptor.time, proprioceptor.sequence
+        if time is None:
+            return ""
+        if proprioceptor.sequence <= sequence or proprioceptor.time <= time:
+            return (
+                f"another world: Proprioceptor went from {time * 1e-9:.3f} s, number {sequence}, "
+                f"to {proprioceptor.time * 1e-9:.3f} s, number {proprioceptor.sequence}"
+            )
+        self.missed += proprioceptor.sequence - sequence - 1
+        gap = (proprioceptor.time - time) * 1e-9
+        if gap > LONGEST_GAP:
+            return f"no Proprioceptor for {gap:.3f} s of robot time; expected at most {LONGEST_GAP} s"
+        return ""
