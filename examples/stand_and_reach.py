@@ -1,0 +1,391 @@
+#!/usr/bin/env python3
+"""Stand, free the arms, reach with the right one, look aside, and come back: an ordinary ROS 2 client of the robot.
+
+It knows public names and messages only. Start it where the robot's ROS 2 side can be heard (same ROS_DOMAIN_ID):
+
+    python stand_and_reach.py [--json FILE]
+
+Exit status: 0 when every goal succeeded and every joint ended within 0.02 rad of its goal; 1 otherwise, with one line
+on standard error that says why; 130 when interrupted, after the running motion is canceled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Duration, Time
+from control_msgs.action import FollowJointTrajectory
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectoryPoint
+from vigir_humanoid_control_msgs.action import ChangeControlMode
+from vigir_humanoid_control_msgs.msg import ControlModeStatus
+
+MODE_TOPIC = "/flor/controller/mode"
+MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
+ARM_ACTION = "/trajectory_controllers/right_arm_traj_controller/follow_joint_trajectory"
+NECK_ACTION = "/trajectory_controllers/neck_traj_controller/follow_joint_trajectory"
+
+# Goals [rad] and when they are to be reached, from the goal's start on [s]. What is not named is 0.
+FORWARD = {"r_shoulder_pitch": -0.7, "r_shoulder_roll": -0.15, "r_elbow_pitch": 0.3, "r_wrist_pitch": 0.2}
+ASIDE = {
+    "r_shoulder_pitch": -0.9,
+    "r_shoulder_roll": -0.6,
+    "r_shoulder_yaw": -0.3,
+    "r_elbow_pitch": 0.9,
+    "r_elbow_roll": 0.4,
+}
+ARM = (
+    "r_shoulder_pitch", "r_shoulder_roll", "r_shoulder_yaw", "r_elbow_pitch",
+    "r_elbow_roll", "r_wrist_pitch", "r_wrist_yaw",
+)  # fmt: skip
+NECK = ("neck_yaw", "neck_pitch")
+LOOK_ASIDE = {"neck_yaw": -0.5, "neck_pitch": 0.25}
+
+TOLERANCE = 0.02  # [rad]
+SETTLE = 0.3  # of robot time, over which the final joint positions are averaged [s]
+DISCOVERY = 20.0  # for topics and actions to appear [s]
+MODE_CHANGE = 20.0  # [s]
+CANCEL = 3.0  # [s]
+SLOWEST = 0.1  # real-time factor below which a motion is given up
+
+
+class ClientError(Exception):
+    """Why it did not work, in one line."""
+
+
+@dataclass
+class ModeChange:
+    """One change of control mode."""
+
+    mode: str
+    latency: float  # from request to result [s]
+
+
+@dataclass
+class Motion:
+    """One trajectory, and where the joints were after it."""
+
+    name: str
+    error_code: int
+    seconds: float  # from goal to result [s]
+    worst_joint: str
+    max_error: float  # [rad]
+    errors: dict[str, float]  # by joint [rad]
+    pelvis_displacement: float  # largest horizontal, while it moved [cm]
+
+
+class Robot:
+    """The robot as this client hears it."""
+
+    def __init__(self) -> None:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # an interrupted motion is canceled first
+        self.node = rclpy.create_node("stand_and_reach")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.mode: str | None = None
+        self.joints: dict[str, float] = {}
+        self.pelvis: tuple[float, float] | None = None  # in odom [m]
+        self.clock: float | None = None  # robot time [s]
+        self._joint_listeners: list[Callable[[dict[str, float]], None]] = []
+        self._pelvis_listeners: list[Callable[[tuple[float, float]], None]] = []
+        self._clock_first: tuple[float, float] | None = None  # robot time, wall time [s]
+        self._clock_last = (0.0, 0.0)
+        self._states = 0
+        self._states_first = self._states_last = 0.0  # wall [s]
+        self._ages: list[float] = []  # [s]
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(ControlModeStatus, MODE_TOPIC, self._hear_mode, latched)
+        self.node.create_subscription(JointState, "/joint_states", self._hear_joints, qos_profile_sensor_data)
+        self.node.create_subscription(Odometry, "/odom", self._hear_odometry, qos_profile_sensor_data)
+        self.node.create_subscription(Clock, "/clock", self._hear_clock, qos_profile_sensor_data)
+        self.modes = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
+        self.arm = ActionClient(self.node, FollowJointTrajectory, ARM_ACTION)
+        self.neck = ActionClient(self.node, FollowJointTrajectory, NECK_ACTION)
+
+    def _hear_mode(self, status: ControlModeStatus) -> None:
+        self.mode = status.current_control_mode
+
+    def _hear_joints(self, state: JointState) -> None:
+        now = time.monotonic()
+        self.joints = dict(zip(state.name, state.position, strict=True))
+        self._states_first = self._states_first or now
+        self._states_last = now
+        self._states += 1
+        if self.clock is not None:
+            self._ages.append(self.clock - seconds(state.header.stamp))
+        for listener in self._joint_listeners:
+            listener(self.joints)
+
+    def _hear_odometry(self, odometry: Odometry) -> None:
+        position = odometry.pose.pose.position
+        self.pelvis = (position.x, position.y)
+        for listener in self._pelvis_listeners:
+            listener(self.pelvis)
+
+    def _hear_clock(self, clock: Clock) -> None:
+        self.clock = seconds(clock.clock)
+        self._clock_last = (self.clock, time.monotonic())
+        self._clock_first = self._clock_first or self._clock_last
+
+    def wait(self, condition: Callable[[], Any], timeout: float, otherwise: str) -> None:
+        """Let messages in until the condition holds.
+
+        Raises:
+            ClientError: not within ``timeout`` [s]; its text is ``otherwise``.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                raise ClientError(otherwise)
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def wait_robot_time(self, duration: float) -> None:
+        """Let messages in for a stretch of robot time [s]; of wall time where nobody publishes /clock."""
+        began = self.clock
+        if began is None:
+            end = time.monotonic() + duration
+            self.wait(lambda: time.monotonic() >= end, duration + 1.0, "")
+        else:
+            stopped = f"/clock stopped at {began:.2f} s"
+            self.wait(lambda: (self.clock or began) - began >= duration, duration / SLOWEST + 5.0, stopped)
+
+    def connect(self) -> None:
+        """Wait for every topic and action that is needed.
+
+        Raises:
+            ClientError: names those that are absent.
+        """
+        needs: dict[str, Callable[[], Any]] = {
+            f"topic {MODE_TOPIC}": lambda: self.mode is not None,
+            "topic /joint_states": lambda: self.joints,
+            "topic /odom": lambda: self.pelvis is not None,
+            f"action {MODE_ACTION}": self.modes.server_is_ready,
+            f"action {ARM_ACTION}": self.arm.server_is_ready,
+            f"action {NECK_ACTION}": self.neck.server_is_ready,
+        }
+        try:
+            self.wait(lambda: all(present() for present in needs.values()), DISCOVERY, "")
+        except ClientError:
+            absent = ", ".join(name for name, present in needs.items() if not present())
+            raise ClientError(
+                f"not there within {DISCOVERY:g} s: {absent}; is the robot up, and ROS_DOMAIN_ID the robot's?"
+            ) from None
+
+    def change_mode(self, mode: str) -> ModeChange:
+        """Ask for a control mode and wait until the robot is in it."""
+        began = time.monotonic()
+        _, result = self._act(self.modes, ChangeControlMode.Goal(mode_request=mode), MODE_ACTION, MODE_CHANGE)
+        latency = time.monotonic() - began
+        status = result.result
+        if status.status != ControlModeStatus.MODE_ACCEPTED or status.current_control_mode != mode:
+            raise ClientError(
+                f"control mode {mode!r} not reached: status {status.status}, in {status.current_control_mode!r}"
+            )
+        # The action's result may overtake the topic that the next refusal would be judged by.
+        self.wait(lambda: self.mode == mode, MODE_CHANGE, f"{MODE_TOPIC} still says {self.mode!r}, not {mode!r}")
+        return ModeChange(mode, latency)
+
+    def follow(self, name: str, client: ActionClient, points: list[tuple[float, dict[str, float]]]) -> Motion:
+        """Move joints along a trajectory and measure where they end.
+
+        Args:
+            name: for people.
+            client: of the controller.
+            points: when [s] and where [rad], all of the same joints.
+        """
+        goal = FollowJointTrajectory.Goal()
+        joints = goal.trajectory.joint_names = list(points[0][1])
+        for when, positions in points:
+            point = JointTrajectoryPoint(positions=[float(positions[joint]) for joint in joints])
+            whole = int(when)
+            point.time_from_start = Duration(sec=whole, nanosec=int((when - whole) * 1e9))
+            goal.trajectory.points.append(point)
+        origin = self.pelvis or (0.0, 0.0)
+        farthest = [0.0]
+
+        def keep_farthest(pelvis: tuple[float, float]) -> None:
+            farthest[0] = max(farthest[0], math.dist(origin, pelvis))
+
+        self._pelvis_listeners.append(keep_farthest)
+        began = time.monotonic()
+        limit = points[-1][0] / SLOWEST + 10.0
+        state, result = self._act(client, goal, name, limit)
+        took = time.monotonic() - began
+        if state != GoalStatus.STATUS_SUCCEEDED or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+            raise ClientError(f"{name}: error {result.error_code}: {result.error_string or 'no reason given'}")
+        settled = self._settled(joints)
+        self._pelvis_listeners.remove(keep_farthest)
+        errors = {joint: abs(settled[joint] - points[-1][1][joint]) for joint in joints}
+        worst = max(errors, key=lambda joint: errors[joint])
+        return Motion(name, result.error_code, took, worst, errors[worst], errors, 100.0 * farthest[0])
+
+    def _settled(self, joints: list[str]) -> dict[str, float]:
+        """Mean joint positions [rad] over the next moment."""
+        sums, count = dict.fromkeys(joints, 0.0), [0]
+
+        def add(positions: dict[str, float]) -> None:
+            count[0] += 1
+            for joint in joints:
+                sums[joint] += positions[joint]
+
+        self._joint_listeners.append(add)
+        self.wait_robot_time(SETTLE)
+        self.wait(lambda: count[0], DISCOVERY, "/joint_states went silent")
+        self._joint_listeners.remove(add)
+        return {joint: total / count[0] for joint, total in sums.items()}
+
+    def _act(self, client: ActionClient, goal: Any, name: str, timeout: float) -> tuple[int, Any]:
+        """Send a goal and wait for its end: terminal state and result."""
+        sent = client.send_goal_async(goal)
+        self.wait(sent.done, DISCOVERY, f"{name}: no answer to the goal within {DISCOVERY:g} s")
+        handle = sent.result()
+        if not handle.accepted:
+            raise ClientError(f"{name}: goal rejected")
+        ended = handle.get_result_async()
+        try:
+            self.wait(ended.done, timeout, f"{name}: no result within {timeout:g} s")
+        except (ClientError, KeyboardInterrupt):
+            canceled = handle.cancel_goal_async()
+            self.wait(canceled.done, CANCEL, f"{name}: gave up, and no answer to its cancellation")
+            raise
+        answer = ended.result()
+        return answer.status, answer.result
+
+    def streams(self) -> dict[str, float | None]:
+        """How well the robot's streams arrived here, since the start."""
+        span = self._states_last - self._states_first
+        robot_time = wall_time = 0.0
+        if self._clock_first is not None:
+            robot_time = self._clock_last[0] - self._clock_first[0]
+            wall_time = self._clock_last[1] - self._clock_first[1]
+        ages = sorted(self._ages)
+        return {
+            "joint_states_rate": (self._states - 1) / span if span else None,  # [Hz]
+            "joint_states_age_median": 1e3 * ages[len(ages) // 2] if ages else None,  # behind /clock [ms]
+            "joint_states_age_p99": 1e3 * ages[int(0.99 * len(ages))] if ages else None,  # [ms]
+            "real_time_factor": robot_time / wall_time if wall_time else None,
+        }
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def seconds(stamp: Time) -> float:
+    """A stamp in seconds."""
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
+    """The whole motion, a line a step."""
+    robot.connect()
+    say(f"connected; control mode {robot.mode}")
+    changes: list[ModeChange] = []
+    motions: list[Motion] = []
+
+    def change(mode: str) -> None:
+        changes.append(robot.change_mode(mode))
+        say(f"control mode {mode} after {1e3 * changes[-1].latency:.0f} ms")
+
+    def follow(name: str, client: ActionClient, *points: tuple[float, dict[str, float]]) -> None:
+        motions.append(robot.follow(name, client, list(points)))
+        motion = motions[-1]
+        say(
+            f"{name}: done in {motion.seconds:.1f} s, largest error {motion.max_error:.4f} rad ({motion.worst_joint}), "
+            f"pelvis moved {motion.pelvis_displacement:.2f} cm"
+        )
+
+    if robot.mode != "stand":
+        change("stand")
+    change("stand_manipulate")
+    home = {joint: robot.joints[joint] for joint in ARM}
+    ahead = {joint: robot.joints[joint] for joint in NECK}
+    forward = {joint: FORWARD.get(joint, 0.0) for joint in ARM}
+    aside = {joint: ASIDE.get(joint, 0.0) for joint in ARM}
+    follow("right arm forward, then aside", robot.arm, (2.5, forward), (4.5, aside))
+    follow("neck looks at the hand", robot.neck, (1.5, LOOK_ASIDE))
+    follow("right arm home", robot.arm, (2.0, forward), (4.5, home))
+    follow("neck ahead", robot.neck, (1.5, ahead))
+    change("stand")
+    return changes, motions
+
+
+def say(line: str) -> None:
+    """A line of progress; at once, in a pipe too."""
+    print(line, flush=True)
+
+
+def table(motions: list[Motion], streams: dict[str, float | None]) -> str:
+    """What was measured."""
+
+    def number(key: str, digits: int, unit: str) -> str:
+        value = streams[key]
+        return "not heard" if value is None else f"{value:.{digits}f} {unit}".rstrip()
+
+    lines = ["", f"{'motion':<32}{'error [rad]':>12}{'pelvis [cm]':>13}"]
+    lines += [f"{m.name:<32}{m.max_error:>12.4f}{m.pelvis_displacement:>13.2f}" for m in motions]
+    median, p99 = number("joint_states_age_median", 1, "ms"), number("joint_states_age_p99", 1, "ms")
+    lines += [
+        "",
+        f"joint_states      {number('joint_states_rate', 1, 'Hz')}",
+        f"  behind /clock   {median}, p99 {p99}",
+        f"real-time factor  {number('real_time_factor', 3, '')}",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the measurements there")
+    arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    robot = Robot()
+    try:
+        changes, motions = perform(robot)
+        streams = robot.streams()
+        say(table(motions, streams))
+        if arguments.json:
+            report = {
+                "mode_changes": [asdict(change) for change in changes],
+                "motions": [asdict(motion) for motion in motions],
+                "streams": streams,
+            }
+            arguments.json.write_text(json.dumps(report, indent=2) + "\n")
+        for motion in motions:
+            if not motion.max_error <= TOLERANCE:
+                error, joint = motion.max_error, motion.worst_joint
+                raise ClientError(
+                    f"{motion.name}: {joint} ended {error:.4f} rad off its goal; within {TOLERANCE:g} expected"
+                )
+    except (ClientError, OSError) as error:
+        print(f"stand_and_reach: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        robot.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
