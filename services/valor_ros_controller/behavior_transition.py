@@ -1,0 +1,114 @@
+"""The two-command behavior transition (thesis section 4.2.2, figure 4.3).
+
+A manipulation behavior is entered from its base behavior only, so every control mode is reached by two commands: the
+base, and once the Motion System reports that, the base again or its manipulation variant. Here stands only what
+follows what; asking and listening are the interface's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+
+REPORT_TIMEOUT = 3.0
+"""How long the Motion System may take to report a behavior that it accepted [s]."""
+
+
+@dataclass(frozen=True)
+class BehaviorAnswer:
+    """What became of one command.
+
+    Attributes:
+        number: of the command that is answered.
+        accepted: by the Motion Manager.
+        reason: why not.
+        silent: no answer came at all.
+    """
+
+    number: int
+    accepted: bool
+    reason: str
+    silent: bool = False
+
+
+class TransitionState(Enum):
+    """How far a transition is."""
+
+    PROCESSING = auto()
+    DONE = auto()
+    FAILED = auto()
+
+
+class BehaviorTransition:
+    """One pair of commands under way.
+
+    Attributes:
+        state: how far it is.
+        reason: why it failed.
+        silent: it failed because nobody answered.
+        diverted: it failed because the Motion System went elsewhere on its own.
+    """
+
+    def __init__(self, commands: tuple[str, str], first_number: int, behavior: str) -> None:
+        """Prepare to go.
+
+        Args:
+            commands: the base behavior, then the base or its variant.
+            first_number: the number of the first command; the second has the next.
+            behavior: reported now.
+        """
+        self.state = TransitionState.PROCESSING
+        self.reason = ""
+        self.silent = False
+        self.diverted = False
+        self._commands = commands
+        self._numbers = (first_number, first_number + 1)
+        self._expected = {behavior, commands[0]}
+        self._step = 0
+        self._sent = False
+        self._deadline: float | None = None
+
+    def update(self, now: float, behavior: str, reason: str, answer: BehaviorAnswer | None) -> tuple[int, str] | None:
+        """Take in what is new; returns the number and the name of a behavior to ask for now, if any.
+
+        Args:
+            now: monotonic [s].
+            behavior: reported by the Motion System.
+            reason: of its last change of behavior.
+            answer: to a command, if one came; answers to other transitions' commands are ignored.
+        """
+        if self.state is not TransitionState.PROCESSING:
+            return None
+        command = self._commands[self._step]
+        if behavior not in self._expected:
+            self.diverted = True
+            self._fail(f"the Motion System went to {behavior}: {reason}")
+            return None
+        if not self._sent:
+            self._sent = True
+            return self._numbers[self._step], command
+        if answer is not None and answer.number == self._numbers[self._step]:
+            if not answer.accepted:
+                self.silent = answer.silent
+                self._fail(answer.reason)
+                return None
+            self._deadline = now + REPORT_TIMEOUT
+        if self._deadline is None:
+            return None
+        if behavior == command:
+            self._deadline = None
+            if self._step == 1:
+                self.state = TransitionState.DONE
+                return None
+            self._step = 1
+            self._expected = {command, self._commands[1]}
+            return self._numbers[1], self._commands[1]
+        if now > self._deadline:
+            self._fail(
+                f"{command} was accepted, but the Motion System still reports {behavior} after {REPORT_TIMEOUT:g} s"
+            )
+        return None
+
+    def _fail(self, reason: str) -> None:
+        self.state = TransitionState.FAILED
+        self.reason = reason

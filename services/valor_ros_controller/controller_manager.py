@@ -1,0 +1,79 @@
+"""Controller managers (thesis section 3.5): each runs the active ones of its controllers.
+
+There are three: the control mode manager runs the control mode controller, whose table says which controllers the
+joint manager and the robot manager run.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+from typing import Generic, Protocol, TypeVar
+
+from valor_common.errors import ConfigurationError
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+
+_log = logging.getLogger("controller_manager")
+
+
+class Controller(Protocol):
+    """What a manager runs."""
+
+    @property
+    def name(self) -> str:
+        """Unique within its manager."""
+
+    def start(self, hw: ValorEscherHWInterface) -> None:
+        """Become active."""
+
+    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
+        """Become inactive; ``reason`` is for whoever waits for a goal."""
+
+    def update(self, hw: ValorEscherHWInterface) -> None:
+        """One cycle. Called whether active or not, for requests must be answered."""
+
+
+C = TypeVar("C", bound=Controller)
+
+
+class ControllerManager(Generic[C]):
+    """Controllers by name, and which are active."""
+
+    def __init__(self, name: str, controllers: Iterable[C]) -> None:
+        self.name = name
+        self.controllers: dict[str, C] = {controller.name: controller for controller in controllers}
+        self._active: tuple[str, ...] = ()
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Names of the active controllers."""
+        return self._active
+
+    def check(self, names: Sequence[str], where: str) -> None:
+        """Whether all controllers named exist.
+
+        Raises:
+            ConfigurationError: one does not; ``where`` says who names it.
+        """
+        if unknown := [name for name in names if name not in self.controllers]:
+            known = ", ".join(self.controllers) or "none"
+            raise ConfigurationError(f"{where}: unknown controller {unknown[0]!r}; the {self.name} manager has {known}")
+
+    def switch(self, names: Sequence[str], hw: ValorEscherHWInterface, reason: str, *, anew: bool = False) -> None:
+        """Make exactly these active. Those that stay go on undisturbed, unless all are to start ``anew``."""
+        wanted = tuple(sorted(names))
+        if wanted == self._active and not anew:
+            return
+        leaving = [name for name in self._active if anew or name not in wanted]
+        coming = [name for name in wanted if anew or name not in self._active]
+        for name in leaving:
+            self.controllers[name].stop(hw, reason)
+        for name in coming:
+            self.controllers[name].start(hw)
+        self._active = wanted
+        _log.info("%s controllers: %s (%s)", self.name, ", ".join(wanted) or "none", reason)
+
+    def update(self, hw: ValorEscherHWInterface) -> None:
+        """One cycle of each."""
+        for controller in self.controllers.values():
+            controller.update(hw)

@@ -1,0 +1,1 @@
+"""The controllers that the three managers run, and their ROS faces."""

@@ -1,0 +1,275 @@
+"""The state machine of control modes (thesis sections 3.5 and 4.2.2).
+
+It follows two things: what clients ask for, and what the Motion System reports. The report decides. A mode is current
+only once the Motion System is in the behavior that the mode stands for, and a change that nobody asked for (a fall, a
+restart, another commander, the end of a footstep plan) is followed at once and reported as external.
+
+No input or output here: requests come in through a queue, the report goes out as an attribute.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
+from valor_ros_controller.control_modes import ControlModeTable, ModeStatus
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+
+_log = logging.getLogger("control_mode_controller")
+
+EMERGENCY_STOP = "emergency_stop"
+"""``VigirControlModeCommand.EMERGENCY_STOP``."""
+
+_S = ModeStatus
+
+
+@dataclass(frozen=True)
+class ModeReport:
+    """The content of ``ControlModeStatus``."""
+
+    requested: str
+    current: str
+    status: ModeStatus
+
+
+class ModeClient(Protocol):
+    """Somebody who asked for a mode and waits for what became of it."""
+
+    def processing(self, report: ModeReport) -> None:
+        """The change is under way."""
+
+    def finish(self, report: ModeReport) -> None:
+        """The change is over, one way or the other."""
+
+
+class MotionSystem(Protocol):
+    """What the controller needs of the Motion System."""
+
+    behavior: str  # as reported; empty: not heard, or silent
+    behavior_reason: str
+    silent: str  # name of the process that is silent; empty: none
+
+    def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
+        """Ask for two behaviors, one after the other; ends a transition that is under way."""
+
+
+@dataclass
+class _Change:
+    """A change under way."""
+
+    requested: str
+    target: str
+    client: ModeClient | None
+    transition: BehaviorTransition
+
+
+class ControlModeController:
+    """Control modes: one change at a time.
+
+    Attributes:
+        report: what ``/flor/controller/mode`` says.
+        reports: how often the report changed.
+        active_mode: whose controllers are to run; empty: none may.
+        hard_resets: how often all controllers had to start anew.
+        last_refusal: of a request, with its reason; for people.
+        rejected: how many requests were refused.
+    """
+
+    name = "control_mode_controller"
+
+    def __init__(self, table: ControlModeTable, motion_system: MotionSystem) -> None:
+        self._table = table
+        self._motion = motion_system
+        self._requests: deque[tuple[str, ModeClient | None]] = deque()
+        self._change: _Change | None = None
+        self._followed = ""  # the behavior that the mode was last compared with
+        self.report = ModeReport("", "none", _S.ERR_CONTROLLER_NOT_READY)
+        self.reports = 1
+        self.active_mode = ""
+        self.hard_resets = 0
+        self.last_refusal = ""
+        self.rejected = 0
+
+    @property
+    def current(self) -> str:
+        """The mode that the robot is in."""
+        return self.report.current
+
+    def request(self, mode: str, client: ModeClient | None = None) -> None:
+        """Ask for a mode, by name in any case, or for an emergency stop. From any thread."""
+        self._requests.append((mode, client))
+
+    def start(self, hw: ValorEscherHWInterface) -> None:
+        """It runs from the beginning; its first report says that nothing is known yet."""
+
+    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
+        """It runs to the end; what is under way is left to the Motion System."""
+
+    def update(self, hw: ValorEscherHWInterface) -> None:
+        """One cycle."""
+        motion = self._motion
+        if not motion.behavior:
+            if self.active_mode or self._change:
+                self._lose_motion_system()
+        else:
+            if self._change:
+                self._proceed(self._change)
+            if not self._change and motion.behavior != self._followed:
+                self._follow()
+        while self._requests:
+            self._consider(*self._requests.popleft())
+
+    # --- what the Motion System does ------------------------------------------------------------------------------
+
+    def _lose_motion_system(self) -> None:
+        """It is silent: no mode holds, no controller may run."""
+        if self._change:
+            self._finish(_S.MODE_REJECTED | _S.ERR_CONTROLLER_NOT_READY, f"{self._motion.silent} is silent")
+        _log.warning("%s is silent: the control mode is unknown", self._motion.silent)
+        self._followed = ""
+        self.active_mode = ""
+        self._set(ModeReport(self.report.requested, "none", _S.EXTERNAL_CHANGE | _S.ERR_CONTROLLER_NOT_READY))
+
+    def _follow(self) -> None:
+        """The behavior changed and nobody here asked for it."""
+        motion, previous = self._motion, self.current
+        began = not self._followed
+        self._followed = motion.behavior
+        if not began and self._table.fits(previous, motion.behavior):
+            return
+        mode = self._table.behaviors.get(motion.behavior, "none")
+        if self._table.modes[mode].switch == "hard_reset" and not began:
+            self.hard_resets += 1
+        self.active_mode = mode
+        self._set(ModeReport(self.report.requested, mode, _S.EXTERNAL_CHANGE))
+        _log.info(
+            "control mode %s -> %s: the Motion System is in %s (%s)",
+            previous,
+            mode,
+            motion.behavior,
+            motion.behavior_reason,
+        )
+        again = self._table.modes[previous].when_done
+        if not began and again and mode == "stand":
+            self._begin(again, again, None)
+
+    def _proceed(self, change: _Change) -> None:
+        """A change is under way: see how far it is."""
+        transition = change.transition
+        if transition.state is TransitionState.PROCESSING:
+            return
+        behavior = self._motion.behavior
+        self._followed = behavior
+        if transition.state is TransitionState.DONE:
+            _log.info("control mode %s -> %s", self.current, change.target)
+            self.active_mode = change.target
+            self._finish(_S.MODE_ACCEPTED, "", current=change.target)
+            return
+        if self._table.fits(self.current, behavior):
+            actual = self.current
+        else:
+            actual = self._table.behaviors.get(behavior, "none")
+        status = _S.MODE_REJECTED
+        if transition.silent:
+            status |= _S.ERR_CONTROLLER_NOT_READY
+        if transition.diverted:
+            status |= _S.EXTERNAL_CHANGE
+            if self._table.modes[actual].switch == "hard_reset":
+                self.hard_resets += 1
+        self.active_mode = actual
+        self._finish(status, transition.reason, current=actual)
+
+    # --- what clients ask for -------------------------------------------------------------------------------------
+
+    def _consider(self, requested: str, client: ModeClient | None) -> None:
+        """Begin what is asked for, or refuse it."""
+        target = requested.strip().lower()
+        modes = self._table.modes
+        current = self.current
+        if not self._motion.behavior:
+            waiting = self._motion.silent or "the Motion System"
+            self._refuse(requested, client, _S.ERR_CONTROLLER_NOT_READY, f"{waiting} is silent")
+            return
+        if target == EMERGENCY_STOP:
+            choice = [mode for mode in self._table.emergency_stop if mode == current or mode in modes[current].to]
+            if not choice:
+                reason = f"no mode to stop in may follow {current}; the joints are not under control"
+                self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, reason)
+                return
+            target = choice[0]
+        if target not in modes:
+            reason = f"no such mode; expected one of {', '.join(modes)}"
+            self._refuse(requested, client, _S.ERR_INVALID_BEHAVIOR_MODE, reason)
+            return
+        if self._change and not (modes[target].preempts and self._change.target != target):
+            reason = f"the change to {self._change.target} is under way"
+            self._refuse(requested, client, _S.ERR_PRIOR_COMMAND_IN_PROGRESS, reason)
+            return
+        if not self._change and target == current:
+            report = ModeReport(target, current, _S.MODE_ACCEPTED | _S.MODE_DUPLICATE)
+            self._set(report)
+            if client:
+                client.finish(report)
+            return
+        if self._change is None and target not in modes[current].to:
+            allowed = ", ".join(sorted(modes[current].to))
+            reason = f"not allowed from {current}; from there: {allowed}"
+            self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, reason)
+            return
+        if self._change:
+            self._finish(_S.MODE_PREEMPTED, f"preempted by {target}")
+        self._begin(requested, target, client)
+
+    def _begin(self, requested: str, target: str, client: ModeClient | None) -> None:
+        """Ask the Motion System for what a mode stands for."""
+        mode = self._table.modes[target]
+        if mode.switch == "hard_reset":
+            self.hard_resets += 1
+        if not mode.motion or mode.motion[1] == self._motion.behavior:
+            # Nothing to ask for: the mode keeps the behavior, or differs in its controllers alone.
+            self.active_mode = target
+            report = ModeReport(target, target, _S.MODE_ACCEPTED)
+            self._set(report)
+            if client:
+                client.finish(report)
+            return
+        if mode.switch != "on_feedback":
+            self.active_mode = target
+        report = ModeReport(target, self.current, _S.MODE_PROCESSING)
+        self._change = _Change(requested, target, client, self._motion.begin_transition(mode.motion))
+        self._set(report)
+        if client:
+            client.processing(report)
+
+    def _finish(self, status: ModeStatus, reason: str, current: str | None = None) -> None:
+        """The change under way is over."""
+        change = self._change
+        assert change is not None
+        self._change = None
+        report = ModeReport(change.target, current or self.current, status)
+        if not status & _S.MODE_ACCEPTED:
+            self._note_refusal(change.requested, reason)
+        self._set(report)
+        if change.client:
+            change.client.finish(report)
+
+    def _refuse(self, requested: str, client: ModeClient | None, error: ModeStatus, reason: str) -> None:
+        """Nothing happens but an answer; the report on the topic carries it too, with the mode unchanged."""
+        self._note_refusal(requested, reason)
+        report = ModeReport(requested, self.current, _S.MODE_REJECTED | error)
+        if self._change is None:
+            self._set(report)
+        if client:
+            client.finish(report)
+
+    def _note_refusal(self, requested: str, reason: str) -> None:
+        self.rejected += 1
+        self.last_refusal = f"{requested}: {reason}"
+        _log.warning("control mode %s refused: %s", requested, reason)
+
+    def _set(self, report: ModeReport) -> None:
+        self.report = report
+        self.reports += 1

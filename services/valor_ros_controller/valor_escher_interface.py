@@ -1,0 +1,236 @@
+"""Valor Escher Interface (VEI): the Motion System's side, over Bifrost (thesis sections 4.1.4 and 4.2.2).
+
+Measurements and the Motion System's state come in, set-points and the control mode's report go out, all in the update
+thread. Asking for a behavior waits for a reply, so a thread of its own does it; real-time buffers lie between, in
+which a newer command replaces one that is still waiting.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+import numpy as np
+
+import bifrost
+from valor_common import topics
+from valor_common.messages import (
+    BehaviorReply,
+    BehaviorRequest,
+    ControlModeReport,
+    JointSetpoints,
+    MotionState,
+    Proprioceptor,
+)
+from valor_ros_controller.behavior_transition import BehaviorAnswer, BehaviorTransition
+from valor_ros_controller.controllers.control_mode_controller import ModeReport
+from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor_ros_controller.valor_escher_hw_interface import Indices, ValorEscherHWInterface
+
+_log = logging.getLogger("valor_escher_interface")
+
+ANSWER_TIMEOUT = 2.0
+"""How long the Motion Manager may take to answer a behavior command [s]."""
+REPORT_PERIOD = 0.1
+"""The control mode is reported on Bifrost on change and this often [s]."""
+
+
+class BehaviorCommander(threading.Thread):
+    """Asks the Motion Manager for behaviors, one at a time, newest first.
+
+    Attributes:
+        commands: (number, behavior) to ask for.
+        answers: what became of them.
+    """
+
+    def __init__(self, node: bifrost.Node) -> None:
+        super().__init__(name="behavior_commander", daemon=True)
+        self.commands: RealTimeBuffer[tuple[int, str]] = RealTimeBuffer()
+        self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
+        self._client = node.client(topics.BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self._wake = threading.Event()
+        self._closing = False
+
+    def ask(self, number: int, behavior: str) -> None:
+        """Ask for a behavior; never waits."""
+        self.commands.write((number, behavior))
+        self._wake.set()
+
+    def run(self) -> None:
+        """The thread."""
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            if self._closing:
+                return
+            if command := self.commands.read():
+                self.answers.write(self._call(*command))
+
+    def _call(self, number: int, behavior: str) -> BehaviorAnswer:
+        try:
+            reply = self._client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
+        except bifrost.Error as error:
+            return BehaviorAnswer(number, False, str(error), silent=True)
+        return BehaviorAnswer(number, reply.accepted, f"the Motion Manager refused {behavior}: {reply.reason}")
+
+    def close(self) -> None:
+        """End the thread, at the latest when a call under way has timed out."""
+        self._closing = True
+        self._wake.set()
+        if self.is_alive():
+            self.join()
+        self._client.close()
+
+
+class ValorEscherInterface:
+    """Bifrost in and out, and the Motion System's behavior.
+
+    Attributes:
+        behavior: of the Motion System; empty before the first report and while it is silent.
+        behavior_reason: of its last change.
+        silent: name of the process that is silent; empty: none.
+        rejected: how many messages were of the wrong length or not finite.
+    """
+
+    def __init__(self, node: bifrost.Node, hw: ValorEscherHWInterface, decimation: int, silence_timeout: float) -> None:
+        """Connect.
+
+        Args:
+            node: to the Bifrost network.
+            hw: where measurements go and set-points come from.
+            decimation: a cycle is due at every n-th Proprioceptor.
+            silence_timeout: a process that publishes nothing for so long is silent [s].
+        """
+        self._hw = hw
+        self._decimation = decimation
+        self._timeout = silence_timeout
+        self._n = len(hw.robot.joints)
+        self._proprioceptor = node.subscriber(topics.PROPRIOCEPTOR.name, Proprioceptor)
+        self._motion_state = node.subscriber(topics.MOTION_STATE.name, MotionState)
+        self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
+        self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport)
+        self._commander = BehaviorCommander(node)
+        self._commander.start()
+        self._transition: BehaviorTransition | None = None
+        self._number = 1
+        self._last_sequence = 0
+        self._heard_proprioceptor = self._heard_motion = -np.inf
+        self._written: Indices | None = None
+        self._names: list[str] = []
+        self._reported: ModeReport | None = None
+        self._reported_at = -np.inf
+        self.behavior = ""
+        self.behavior_reason = ""
+        self.silent = "comms_manager"
+        self.rejected = 0
+        self.set_points_sent = 0
+
+    @property
+    def proprioceptor_age(self) -> float:
+        """Since the newest Proprioceptor came [s]; inf before the first."""
+        return time.monotonic() - self._heard_proprioceptor
+
+    @property
+    def motion_state_age(self) -> float:
+        """Since the newest MotionState came [s]; inf before the first."""
+        return time.monotonic() - self._heard_motion
+
+    def read(self, timeout: float) -> bool:
+        """Wait for the Proprioceptor that a cycle is due for, and take in all that is new.
+
+        Args:
+            timeout: how long to wait [s].
+
+        Returns:
+            Whether it came; if not, no cycle is due, but what the Motion System says is known all the same.
+        """
+        deadline = time.monotonic() + timeout
+        due = False
+        while not due:
+            received = self._proprioceptor.receive(max(1e-3, deadline - time.monotonic()))
+            if received is None:
+                break
+            self._heard_proprioceptor = time.monotonic()
+            due = self._take(received.message)
+        self._listen(time.monotonic())
+        return due
+
+    def _take(self, measured: Proprioceptor) -> bool:
+        """Store a measurement if a cycle is due for it."""
+        # A sequence that goes back is a Comms Manager that started anew.
+        if 0 <= measured.sequence - self._last_sequence < self._decimation:
+            return False
+        position, velocity = measured.joint_position, measured.joint_velocity
+        if len(position) != self._n or len(velocity) != self._n or len(measured.joint_effort) != self._n:
+            self._reject(f"{topics.PROPRIOCEPTOR.name}: {len(position)} joints; expected {self._n}")
+            return False
+        if not np.isfinite(position.sum() + velocity.sum()):
+            self._reject(f"{topics.PROPRIOCEPTOR.name}: a joint's position or velocity is not finite")
+            return False
+        self._last_sequence = measured.sequence
+        hw = self._hw
+        hw.time, hw.measured, hw.position, hw.velocity = measured.time, measured, position, velocity
+        return True
+
+    def _reject(self, text: str) -> None:
+        self.rejected += 1
+        if self.rejected == 1 or self.rejected % 1000 == 0:
+            _log.warning("refused %s (%d so far)", text, self.rejected)
+
+    def _listen(self, now: float) -> None:
+        """The Motion System's state, who is silent, and the transition under way."""
+        received = self._motion_state.latest()
+        if received is not None:
+            motion = received.message
+            if len(motion.joint_setpoint) == self._n and np.isfinite(motion.joint_setpoint.sum()):
+                self._heard_motion = now
+                self._hw.motion = motion
+                self.behavior, self.behavior_reason = motion.behavior, motion.reason
+            else:
+                self._reject(f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers")
+        proprioceptor_silent = now - self._heard_proprioceptor > self._timeout
+        if now - self._heard_motion > self._timeout:
+            self.behavior = ""
+            self.silent = "motion_manager"
+        else:
+            self.silent = ""
+        if proprioceptor_silent:
+            self.silent = "comms_manager"
+        answer = self._commander.answers.read()
+        if self._transition and self.behavior:
+            command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
+            if command:
+                self._commander.ask(*command)
+
+    def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
+        """Ask for two behaviors, one after the other; ends a transition that is under way."""
+        self._transition = BehaviorTransition(commands, self._number, self.behavior)
+        self._number += 2
+        return self._transition
+
+    def write(self) -> None:
+        """Send the set-points of the joints that are written."""
+        hw = self._hw
+        if hw.written is not self._written:
+            self._written = hw.written
+            self._names = [hw.robot.joints[i] for i in hw.written]
+        if not self._names:
+            return
+        position, velocity, acceleration = hw.rectify()
+        self._setpoints.publish(JointSetpoints(hw.time, self._names, position, velocity, acceleration))
+        self.set_points_sent += 1
+
+    def report(self, report: ModeReport) -> None:
+        """Tell Bifrost of the control mode: on change, and every ``REPORT_PERIOD``."""
+        now = time.monotonic()
+        if report is self._reported and now - self._reported_at < REPORT_PERIOD:
+            return
+        self._reported, self._reported_at = report, now
+        self._control_mode.publish(
+            ControlModeReport(self._hw.time, report.requested, report.current, int(report.status), self.behavior)
+        )
+
+    def close(self) -> None:
+        """End the thread. The node, and what belongs to it, is closed by its owner."""
+        self._commander.close()

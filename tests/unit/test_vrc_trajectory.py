@@ -1,0 +1,220 @@
+"""Trajectories: refused when broken, continuous, through their points, within limits."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valor_ros_controller.trajectory import (
+    SPEED_MARGIN,
+    ErrorCode,
+    InvalidTrajectoryError,
+    JointLimits,
+    Point,
+    Trajectory,
+    check_waypoints,
+)
+
+NAMES = ("shoulder", "elbow", "wrist")
+LIMITS = JointLimits(NAMES, np.array([-3.0, -0.5, -np.inf]), np.array([1.0, 3.6, np.inf]), np.array([2.0, 2.0, 6.0]))
+REST = (np.zeros(3), np.zeros(3), np.zeros(3))
+NOW = 5_000_000_000
+
+
+def point(time, positions, velocities=(), accelerations=(), effort=()):
+    return Point(positions, velocities, accelerations, effort, time)
+
+
+def sample(trajectory, now):
+    state = np.zeros((3, len(NAMES)))
+    trajectory.sample(now, *state)
+    return state
+
+
+def refusal(names, points, **options):
+    with pytest.raises(InvalidTrajectoryError) as error:
+        check_waypoints(names, points, LIMITS, **options)
+    return error.value
+
+
+GOOD = [point(1.0, [0.5, 0.5, 0.5]), point(2.0, [0.0, 1.0, 2.0])]
+
+
+@pytest.mark.parametrize(
+    ("names", "points", "code", "words"),
+    [
+        (("shoulder", "elbow", "knee"), GOOD, ErrorCode.INVALID_JOINTS, ("knee", "wrist")),
+        (("shoulder", "elbow", "elbow"), GOOD, ErrorCode.INVALID_JOINTS, ("elbow", "twice")),
+        (("shoulder", "elbow"), GOOD, ErrorCode.INVALID_JOINTS, ("wrist", "allow_partial_joints_goal")),
+        ((), GOOD, ErrorCode.INVALID_JOINTS, ("no joint names",)),
+        (NAMES, [], ErrorCode.INVALID_GOAL, ("no points",)),
+        (NAMES, [point(1, [0, 0])], ErrorCode.INVALID_GOAL, ("2 positions", "expected 3")),
+        (NAMES, [point(1, [0, 0, 0], [0, 0])], ErrorCode.INVALID_GOAL, ("2 velocities", "expected 3")),
+        (NAMES, [point(1, [], [0, 0, 0])], ErrorCode.INVALID_GOAL, ("0 positions",)),
+        (NAMES, [point(1, [0, math.nan, 0])], ErrorCode.INVALID_GOAL, ("elbow", "nan", "finite")),
+        (NAMES, [point(1, [0, 0, math.inf])], ErrorCode.INVALID_GOAL, ("wrist", "inf", "finite")),
+        (NAMES, [point(1, [0, 0, 0], [0, math.nan, 0])], ErrorCode.INVALID_GOAL, ("velocities", "elbow")),
+        (NAMES, [point(-1, [0, 0, 0])], ErrorCode.INVALID_GOAL, ("-1", "expected 0 or more")),
+        (NAMES, [GOOD[1], GOOD[0]], ErrorCode.INVALID_GOAL, ("point 1", "not after")),
+        (NAMES, [GOOD[0], GOOD[0]], ErrorCode.INVALID_GOAL, ("point 1", "not after")),
+        (NAMES, [point(9, [1.2, 0, 0])], ErrorCode.INVALID_GOAL, ("shoulder", "1.2", "-3 to 1")),
+        (NAMES, [point(9, [0, -0.6, 0])], ErrorCode.INVALID_GOAL, ("elbow", "-0.6", "-0.5 to 3.6")),
+        (NAMES, [point(1, [0, 0, 0]), point(2, [0, 2.5, 0])], ErrorCode.INVALID_GOAL, ("elbow", "2.5 rad/s", "2 rad/s")),
+        (NAMES, [point(1, [0, 0, 0], [0, 0, 7]), point(9, [0, 0, 0])], ErrorCode.INVALID_GOAL, ("wrist", "7", "6")),
+        (NAMES, [point(1, [0, 0, 0], [0, 0, 1])], ErrorCode.INVALID_GOAL, ("wrist", "last point")),
+        (NAMES, [point(1, [0, 0, 0], effort=[1, 1, 1])], ErrorCode.INVALID_GOAL, ("effort",)),
+        # Way-points within the limits, the spline between them not.
+        (NAMES, [point(1, [0.9, 0, 0], [1.5, 0, 0]), point(2, [0.9, 0, 0], [0, 0, 0])], ErrorCode.INVALID_GOAL, ("shoulder", "-3 to 1")),
+    ],
+)  # fmt: skip
+def test_broken_trajectories_are_refused_with_the_reason(names, points, code, words):
+    error = refusal(names, points)
+    assert error.code is code
+    for word in words:
+        assert word in str(error)
+
+
+def test_partial_goals_are_taken_where_allowed_and_the_rest_holds():
+    waypoints = check_waypoints(["wrist"], [point(1.0, [2.0])], LIMITS, allow_partial=True)
+    trajectory = Trajectory.begin(waypoints, 0, NOW, (np.array([0.1, 0.2, 0.3]), *REST[1:]), LIMITS)
+    assert sample(trajectory, NOW + 500_000_000)[0] == pytest.approx([0.1, 0.2, 1.15])
+    assert sample(trajectory, trajectory.end)[0] == pytest.approx([0.1, 0.2, 2.0])
+
+
+def test_names_in_another_order_are_mapped():
+    waypoints = check_waypoints(["wrist", "shoulder", "elbow"], [point(2.0, [3.0, 1.0, 2.0])], LIMITS)
+    trajectory = Trajectory.begin(waypoints, 0, NOW, REST, LIMITS)
+    assert sample(trajectory, trajectory.end)[0] == pytest.approx([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("end", "middle"),
+    [
+        (point(2.0, [1.0, 1.0, 1.0]), (0.5, 0.5)),
+        (point(2.0, [1.0, 1.0, 1.0], [0, 0, 0]), (0.5, 0.75)),
+        (point(2.0, [1.0, 1.0, 1.0], [0, 0, 0], [0, 0, 0]), (0.5, 0.9375)),
+    ],
+)
+def test_interpolation_is_linear_cubic_or_quintic_by_what_the_points_give(end, middle):
+    trajectory = Trajectory.begin(check_waypoints(NAMES, [end], LIMITS), 0, NOW, REST, LIMITS)
+    position, velocity, _ = sample(trajectory, NOW + 1_000_000_000)
+    assert (position[0], velocity[0]) == pytest.approx(middle)
+
+
+def begin(points, start=0, now=NOW, state=REST):
+    return Trajectory.begin(check_waypoints(NAMES, points, LIMITS), start, now, state, LIMITS)
+
+
+def begin_refusal(*args, **options):
+    with pytest.raises(InvalidTrajectoryError) as error:
+        begin(*args, **options)
+    return error.value
+
+
+def test_a_first_point_that_the_speed_limits_do_not_allow_is_refused():
+    error = begin_refusal([point(0.1, [1.0, 0.0, 0.0])])
+    assert error.code is ErrorCode.INVALID_GOAL
+    assert "shoulder" in str(error) and "10 rad/s" in str(error) and "2 rad/s" in str(error)
+
+
+def test_a_point_at_time_zero_tells_where_the_sender_thinks_we_are():
+    near = [point(0.0, [0.05, 0.0, 0.0]), point(1.0, [0.5, 0.0, 0.0])]
+    trajectory = begin(near)
+    assert sample(trajectory, NOW)[0] == pytest.approx([0, 0, 0]), "the set-point must not jump"
+    error = begin_refusal([point(0.0, [0.5, 0.0, 0.0]), point(1.0, [0.5, 0.0, 0.0])])
+    assert "shoulder is 0.5 rad away from the first point" in str(error)
+    assert begin_refusal([point(0.0, [0.0, 0.0, 0.0])]).code is ErrorCode.INVALID_GOAL
+
+
+def test_header_stamps():
+    later = begin([point(1.0, [0.5, 0, 0])], start=NOW + 1_000_000_000)
+    assert later.end == NOW + 2_000_000_000
+    assert begin_refusal(GOOD, start=NOW - 3_000_000_000).code is ErrorCode.OLD_HEADER_TIMESTAMP
+    past = begin(GOOD, start=NOW - 1_200_000_000)  # its first point is over: on to the second from here
+    assert sample(past, NOW)[0] == pytest.approx([0, 0, 0])
+    assert past.end == NOW + 800_000_000
+    wall = begin_refusal(GOOD, start=1_700_000_000_000_000_000)
+    assert wall.code is ErrorCode.INVALID_GOAL and "another clock" in str(wall)
+
+
+def test_stopping_decelerates_as_told_and_stays():
+    velocity = np.array([1.0, -0.5, 0.0])
+    trajectory = Trajectory.stopping(NOW, np.zeros(3), velocity, 10.0, LIMITS)
+    assert trajectory.end == NOW + 100_000_000
+    times = np.arange(NOW, trajectory.end, 1_000_000)
+    states = np.array([sample(trajectory, int(t)) for t in times])
+    assert states[:, 1, 0] == pytest.approx(1.0 - 10.0 * (times - NOW) * 1e-9)
+    assert sample(trajectory, trajectory.end + 1)[0] == pytest.approx([0.05, -0.025, 0.0])
+
+
+def test_stopping_at_a_limit_ends_within_it():
+    trajectory = Trajectory.stopping(NOW, np.array([0.99, 0, 0]), np.array([2.0, 0, 0]), 10.0, LIMITS)
+    assert sample(trajectory, trajectory.end)[0][0] <= LIMITS.upper[0]
+
+
+def test_delay_shifts_what_is_to_come():
+    trajectory = begin([point(1.0, [0.5, 0, 0])])
+    before = sample(trajectory, NOW + 400_000_000)
+    trajectory.delay(2_000_000_000)
+    assert sample(trajectory, NOW + 2_400_000_000) == pytest.approx(before)
+
+
+positions = st.tuples(st.floats(-2.5, 0.9), st.floats(-0.4, 3.4), st.floats(-9, 9))
+speeds = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3))
+
+
+@st.composite
+def trajectories(draw):
+    """Way-points, slow enough more often than not, of any mixture of what points may carry."""
+    time, points = 0.0, []
+    count = draw(st.integers(1, 5))
+    for i in range(count):
+        time += draw(st.floats(0.5, 12.0))
+        last = i == count - 1
+        velocities = draw(st.one_of(st.just(()), st.just((0.0, 0.0, 0.0)) if last else speeds))
+        accelerations = draw(st.one_of(st.just(()), speeds)) if velocities else ()
+        points.append(point(time, draw(positions), velocities, accelerations))
+    return points
+
+
+@settings(max_examples=150, deadline=None)
+@given(trajectories(), positions)
+def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(points, here):
+    try:
+        waypoints = check_waypoints(NAMES, points, LIMITS)
+        trajectory = Trajectory.begin(waypoints, 0, NOW, (np.array(here), *REST[1:]), LIMITS)
+    except InvalidTrajectoryError as error:
+        assert error.code is ErrorCode.INVALID_GOAL
+        return
+    step = 4_000_000
+    times = range(NOW, trajectory.end + step, step)
+    states = np.array([sample(trajectory, t) for t in times])
+    assert np.isfinite(states).all()
+    assert states[0, 0] == pytest.approx(here)
+    assert (states[:, 0] >= LIMITS.lower - 1e-3).all() and (states[:, 0] <= LIMITS.upper + 1e-3).all()
+    moved = np.abs(np.diff(states[:, 0], axis=0))
+    assert (moved <= LIMITS.velocity * SPEED_MARGIN * 1.01 * step * 1e-9 + 1e-9).all(), "a jump"
+    fresh = begin(points, state=(np.array(here), *REST[1:]))
+    for way in points:
+        through = sample(fresh, NOW + round(way.time_from_start * 1e9))
+        assert through[0] == pytest.approx(way.positions, abs=1e-6)
+
+
+anything = st.floats(allow_nan=True, allow_infinity=True)
+sizes = st.lists(anything, max_size=4)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.sampled_from([*NAMES, "knee"]), max_size=4),
+    st.lists(st.builds(Point, sizes, sizes, sizes, st.just(()), anything), max_size=4),
+)
+def test_whatever_comes_is_taken_whole_or_refused_with_a_code(names, points):
+    try:
+        waypoints = check_waypoints(names, points, LIMITS)
+    except InvalidTrajectoryError as error:
+        assert error.code in (ErrorCode.INVALID_GOAL, ErrorCode.INVALID_JOINTS) and str(error)
+        return
+    assert np.isfinite(waypoints.coefficients).all()
