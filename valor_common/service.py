@@ -99,10 +99,13 @@ class StatisticsPublisher:
         """Whether the service has said that it is ready."""
         return self._state == "ready"
 
-    def cycle(self, began: float) -> None:
-        """Count a cycle that began at ``began`` [``time.perf_counter()``, s] and ends now."""
+    def cycle(self, began: float, waited: float = 0.0) -> None:
+        """Count a cycle that began at ``began`` [``time.perf_counter()``, s] and ends now.
+
+        ``waited`` [s] of it were spent waiting, not working.
+        """
         now = time.perf_counter()
-        work = now - began
+        work = now - began - waited
         self._cycles += 1
         self._window_cycles += 1
         self._work_sum += work

@@ -1,0 +1,139 @@
+"""Which Motor the devices obey: the newest sound one, until Motor is silent for too long."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+
+import bifrost
+from valor_common.messages import JointMode, Motor
+from valor_common.robot import RobotDescription
+
+COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
+MISSES_TO_SILENCE = 4  # waits timed out in a row, after which the joints are held
+_HIGHEST_MODE = max(JointMode)
+_LOG_EVERY = 10.0  # of each kind of refusal [s]
+_log = logging.getLogger("comms_manager")
+
+
+class Commands:
+    """Takes Motor messages in, refuses unsound ones whole, and tells when Motor has fallen silent.
+
+    A Motor says which Proprioceptor it answers. One that answers a state of another world (before a restart of this
+    process), a state older than that answered already, or one older than the time-out is not obeyed.
+
+    Attributes:
+        motor: the one in force; None before the first.
+        admitted: how many were admitted, so that a user sees whether ``motor`` is new.
+        silent: the joints are to be held: Motor came, and then no more.
+        refused: how many were refused.
+        waits_timed_out: how often ``wait`` gave up.
+    """
+
+    def __init__(self, subscriber: bifrost.Subscriber[Motor], robot: RobotDescription) -> None:
+        self._subscriber = subscriber
+        self._length = len(robot.joints)
+        self._max_age = round(COMMAND_TIMEOUT * robot.tables.control_rate)
+        self._first = self._current = 0
+        self._answered = 0
+        self._time = self._admitted_at = 0
+        self._misses = 0
+        self._logged: dict[str, float] = {}
+        self.motor: Motor | None = None
+        self.admitted = 0
+        self.silent = False
+        self.refused = 0
+        self.waits_timed_out = 0
+
+    def measured(self, sequence: int, time: int) -> None:
+        """A Proprioceptor was published: what is admitted from now on answers it at the newest."""
+        self._first = self._first or sequence
+        self._current, self._time = sequence, time
+        if self.motor is not None and time - self._admitted_at > COMMAND_TIMEOUT * 1e9:
+            self._fall_silent(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
+
+    @property
+    def age(self) -> int:
+        """Periods between the newest state and the one that the Motor in force answers."""
+        return self._current - self._answered
+
+    @property
+    def drops(self) -> int:
+        """Messages that were lost on the way."""
+        return self._subscriber.drops
+
+    def take(self) -> None:
+        """Admit or refuse everything that waits; never blocks."""
+        for received in self._subscriber.drain():
+            self._consider(received.message, received.origin)
+
+    def wait(self, timeout: float, age: int = 0) -> bool:
+        """Wait until the Motor in force answers a state at most ``age`` periods old.
+
+        Returns whether it does; if not within ``timeout`` [s], that is counted, and Motor is silent after several.
+        """
+        deadline = time.perf_counter() + timeout
+        while self.motor is None or self.age > age:
+            remaining = deadline - time.perf_counter()
+            received = self._subscriber.receive(timeout=remaining) if remaining > 0 else None
+            if received is not None:
+                self._consider(received.message, received.origin)
+            elif remaining <= 0:
+                if self.motor is not None:
+                    self.waits_timed_out += 1
+                    self._misses += 1
+                    if self._misses >= MISSES_TO_SILENCE:
+                        self._fall_silent(f"{self._misses} waits for a Motor timed out")
+                return False
+        self._misses = 0
+        return True
+
+    def _consider(self, motor: Motor, origin: str) -> None:
+        """Admit a Motor, or count and log why not."""
+        if reason := self._fault(motor):
+            self.refused += 1
+            kind = reason.partition(":")[0]
+            now = time.monotonic()
+            if now - self._logged.get(kind, -_LOG_EVERY) >= _LOG_EVERY:
+                self._logged[kind] = now
+                _log.warning("Motor from %s refused: %s (%d refused since start)", origin, reason, self.refused)
+            return
+        self.motor = motor
+        self.admitted += 1
+        self._answered = motor.proprioceptor_sequence
+        self._admitted_at = self._time
+        if self.silent:
+            self.silent = False
+            self._misses = 0
+            _log.info("Motor from %s again; the joints obey it", origin)
+
+    def _fault(self, motor: Motor) -> str:
+        """Why a Motor is not obeyed; empty if it is."""
+        answers = motor.proprioceptor_sequence
+        if not self._first <= answers <= self._current:
+            return f"answers no state of this world: {answers}, expected {self._first} to {self._current}"
+        if answers < self._answered:
+            return f"older than the one in force: answers {answers}, {self._answered} is answered"
+        if self.motor is not None and self._current - answers > self._max_age:
+            return f"too old: answers {answers}, now is {self._current}, at most {self._max_age} periods are allowed"
+        n, mode = self._length, motor.mode
+        position, velocity, effort = motor.position, motor.velocity, motor.effort
+        stiffness, damping = motor.stiffness, motor.damping
+        if not mode.size == position.size == velocity.size == effort.size == stiffness.size == damping.size == n:
+            sizes = ", ".join(str(v.size) for v in (mode, position, velocity, effort, stiffness, damping))
+            return f"wrong length: {sizes} (mode, position, velocity, effort, stiffness, damping), expected {n}"
+        # A sum of squares is finite if its terms are: one pass a vector, and nothing allocated.
+        squares = position.dot(position) + velocity.dot(velocity) + effort.dot(effort)
+        if not math.isfinite(squares + stiffness.dot(stiffness) + damping.dot(damping)):
+            return "not finite: position, velocity, effort, stiffness or damping"
+        if mode.max() > _HIGHEST_MODE:
+            return f"unknown mode: {mode.max()}, expected 0 to {_HIGHEST_MODE}"
+        if stiffness.min() < 0.0 or damping.min() < 0.0:
+            return "negative gain: stiffness or damping"
+        return ""
+
+    def _fall_silent(self, why: str) -> None:
+        if not self.silent:
+            self.silent = True
+            _log.warning("%s: the joints are held where they are", why)

@@ -1,0 +1,106 @@
+"""The Comms Manager's main loop: Proprioceptor out, Motor in, one control period after another (thesis 3.4.3)."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import bifrost
+from comms_manager.backend import Backend
+from comms_manager.commands import Commands
+from comms_manager.simulation.backend import Simulation
+from valor_common.messages import ClockStatus, Motor, Proprioceptor
+from valor_common.service import Context, quiet_collector
+from valor_common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
+
+STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
+
+
+class CommsManager:
+    """Runs a backend: measures, publishes, and lets the devices obey what the Motion Manager answers."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._statistics = context.statistics
+        node = context.node
+        self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
+        self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot)
+        self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus))
+        self._backend: Backend = Simulation(context)
+        # Microseconds since the epoch: greater than every sequence of an earlier run, so that a Motor which answers
+        # the world before a restart is known.
+        self._sequence = time.time_ns() // 1000
+
+    def run(self) -> None:
+        """Stand by until the first Motor, then run until told to stop."""
+        quiet_collector()
+        self._stand_by()
+        backend, commands, statistics = self._backend, self._commands, self._statistics
+        began = time.perf_counter()
+        while not self._context.stopping.is_set():
+            waited = backend.advance(commands)
+            state = self._measure()
+            backend.attend()
+            self._clock.update(backend, commands, state.time)
+            statistics.rejected, statistics.drops = commands.refused, commands.drops
+            statistics.cycle(began, waited)
+            backend.pace()
+            began = time.perf_counter()
+            self._publish(state)
+
+    def close(self) -> None:
+        """Give back the devices."""
+        self._backend.close()
+
+    def _stand_by(self) -> None:
+        """Publish one state until a Motor answers it: nothing moves before the controllers are up."""
+        state = self._measure()
+        while not self._context.stopping.is_set():
+            self._publish(state)
+            self._statistics.state("ready", "robot time begins with the first Motor")
+            self._backend.attend()
+            self._clock.update(self._backend, self._commands, state.time)
+            if self._commands.wait(STAND_BY_PERIOD):
+                self._statistics.state("ready")
+                return
+            self._statistics.rejected = self._commands.refused
+            self._statistics.idle()
+
+    def _measure(self) -> Proprioceptor:
+        self._sequence += 1
+        return self._backend.measure(self._sequence)
+
+    def _publish(self, state: Proprioceptor) -> None:
+        self._commands.measured(state.sequence, state.time)
+        self._proprioceptor.publish(state)
+
+
+class ClockReport:
+    """Publishes ClockStatus ten times a second of wall time."""
+
+    PERIOD = 0.1  # [s]
+
+    def __init__(self, publisher: bifrost.Publisher[ClockStatus]) -> None:
+        self._publisher = publisher
+        self._samples: deque[tuple[float, int]] = deque(maxlen=11)  # wall [s], robot [ns]; a second of them
+        self._due = 0.0
+
+    def update(self, backend: Backend, commands: Commands, robot_time: int) -> None:
+        """Publish if it is due."""
+        now = time.perf_counter()
+        if now < self._due:
+            return
+        self._due = now + self.PERIOD
+        self._samples.append((now, robot_time))
+        wall_before, robot_before = self._samples[0]
+        elapsed = now - wall_before
+        self._publisher.publish(
+            ClockStatus(
+                mode=backend.clock,
+                time=robot_time,
+                real_time_factor=(robot_time - robot_before) * 1e-9 / elapsed if elapsed > 0 else 0.0,
+                slip=backend.slip,
+                waits_timed_out=commands.waits_timed_out,
+                holding=commands.silent,
+            )
+        )

@@ -1,0 +1,1 @@
+"""The Comms Manager's devices, simulated: MuJoCo in process, actuators, sensors and two clocks."""

@@ -1,0 +1,78 @@
+"""The simulated devices behind the main loop."""
+
+from __future__ import annotations
+
+from comms_manager.backend import Backend
+from comms_manager.commands import Commands
+from comms_manager.simulation.clock import CLOCKS, Pacer, Wall
+from comms_manager.simulation.plant import Plant
+from comms_manager.simulation.push import PushServer
+from comms_manager.simulation.sensors import Sensors
+from comms_manager.simulation.truth import Truth
+from valor_common.errors import ConfigurationError
+from valor_common.messages import GroundTruth, Proprioceptor
+from valor_common.service import Context
+from valor_common.topics import GROUND_TRUTH
+
+
+class Simulation(Backend):
+    """MuJoCo in process: a plant, its sensors, and a clock that says when it steps."""
+
+    def __init__(self, context: Context) -> None:
+        settings, robot = context.settings, context.robot
+        plant = Plant(robot, settings.world, settings.actuators, settings.seed)
+        steps = round(robot.control_period / plant.step_time)
+        if steps < 1 or abs(steps * plant.step_time - robot.control_period) > 1e-9:
+            raise ConfigurationError(
+                f"{robot.folder / 'robot.yaml'}: physics_step {plant.step_time:g} s: expected a whole number of them "
+                f"in a control period of {robot.control_period:g} s"
+            )
+        if not settings.real_time_factor >= 0.0:
+            raise ConfigurationError(f"real_time_factor {settings.real_time_factor:g}: expected 0 or more")
+        rate = settings.real_time_factor if settings.clock == "lockstep" else 1.0
+        self._pacer = Pacer(rate, Wall())
+        self._clock = CLOCKS[settings.clock](plant, steps, self._pacer)
+        self._sensors = Sensors(robot, plant, robot.tables.actuators[settings.actuators].noise, settings.seed)
+        self._truth = Truth(robot, plant, context.node.publisher(GROUND_TRUTH.name, GroundTruth))
+        self._truth_every = max(1, round(robot.tables.control_rate / Truth.RATE))
+        self._push_server = PushServer(context.node, plant)
+        self._period = round(robot.control_period * 1e9)
+        self._periods = 0
+
+    @property
+    def clock(self) -> str:
+        """``lockstep`` or ``realtime``."""
+        return self._clock.name
+
+    @property
+    def slip(self) -> float:
+        """Robot time lost against the wall since the first Motor [s]."""
+        return self._pacer.slip
+
+    def advance(self, commands: Commands) -> float:
+        """Step the plant to the end of the control period; returns the time spent waiting [s]."""
+        waited = self._clock.advance(commands)
+        self._periods += 1
+        return waited
+
+    def measure(self, sequence: int) -> Proprioceptor:
+        """The state of all devices at the end of the period."""
+        return self._sensors.measure(sequence, self._time)
+
+    def attend(self) -> None:
+        """Answer pushes; publish the truth when it is due."""
+        if self._periods % self._truth_every == 0:
+            self._truth.publish(self._time)
+            self._push_server.serve(self._time)
+
+    def pace(self) -> None:
+        """Sleep until the end of the period is due."""
+        self._clock.pace()
+
+    def close(self) -> None:
+        """Nothing to give back: the node closes its sockets, MuJoCo's memory goes with the process."""
+
+    @property
+    def _time(self) -> int:
+        """Robot time [ns]."""
+        return self._periods * self._period
