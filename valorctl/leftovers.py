@@ -10,6 +10,7 @@ import contextlib
 import os
 import shutil
 import signal
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,13 +88,31 @@ def terminate(processes: Iterable[psutil.Process], timeout: float) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
             process.terminate()
             process.send_signal(signal.SIGCONT)  # a stopped process would not hear of it
-    _, waiting = psutil.wait_procs(waiting, timeout)
+    waiting = wait_gone(waiting, timeout)
     for process in waiting:
         with contextlib.suppress(psutil.NoSuchProcess):
             process.kill()
-    _, waiting = psutil.wait_procs(waiting, 5.0)
-    if waiting:
+    if waiting := wait_gone(waiting, 5.0):
         raise ValorError(f"these processes do not end: {', '.join(str(process.pid) for process in waiting)}")
+
+
+def wait_gone(processes: Iterable[psutil.Process], timeout: float) -> list[psutil.Process]:
+    """Wait for processes to end; returns those that have not within ``timeout`` [s].
+
+    A zombie has ended: not every container's first process collects orphans.
+    """
+    deadline = time.monotonic() + timeout
+    waiting = list(processes)
+    while (waiting := [process for process in waiting if _runs(process)]) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return waiting
+
+
+def _runs(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
 
 
 def files_of(instance: Instance) -> list[Path]:

@@ -53,7 +53,7 @@ def _stop_in_order(supervisor: Supervisor, processes: list[psutil.Process]) -> N
     # supervisord looks around once a second, and whenever it is spoken to.
     while supervisor.answers() and time.monotonic() < deadline:
         time.sleep(0.01)
-    psutil.wait_procs(processes, MARGIN)
+    leftovers.wait_gone(processes, MARGIN)
 
 
 def _verify(instance: Instance) -> None:

@@ -1,0 +1,142 @@
+"""The command line: the shared option anywhere, negative numbers, quoting, what is wrong is said to be wrong."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+import typer
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from valor_common.instance import Instance, Settings
+from valorctl.app import app, hoist_instance
+from valorctl.control_mode import Flag, ModeChange, flag_names
+from valorctl.environment import exports
+
+COMMAND = typer.main.get_command(app)
+
+
+def parsed(verb: str, *arguments: str) -> dict[str, object]:
+    """What a verb is called with."""
+    context = COMMAND.make_context("valorctl", [verb, *arguments])
+    command = COMMAND.get_command(context, verb)
+    return command.make_context(verb, list(arguments), parent=context).params
+
+
+@pytest.mark.parametrize(
+    ("given", "hoisted"),
+    [
+        (["status", "--instance", "a"], ["--instance", "a", "status"]),
+        (["--instance", "a", "status", "--json"], ["--instance", "a", "status", "--json"]),
+        (["push", "-15", "--instance=a", "0", "0"], ["--instance=a", "push", "-15", "0", "0"]),
+        (["status", "--instance"], ["--instance", "status"]),
+        (["logs", "--", "--instance", "a"], ["logs", "--", "--instance", "a"]),
+    ],
+)
+def test_the_instance_option_is_found_wherever_it_stands(given: list[str], hoisted: list[str]) -> None:
+    assert hoist_instance(given) == hoisted
+
+
+@given(st.lists(st.text(alphabet="ab-=", min_size=1, max_size=6), max_size=5), st.integers(0, 5))
+def test_hoisting_leaves_everything_else_in_place(arguments: list[str], place: int) -> None:
+    place = min(place, len(arguments))
+    if "--" in arguments[:place]:
+        return
+    assert hoist_instance([*arguments[:place], "--instance", "x", *arguments[place:]]) == [
+        "--instance",
+        "x",
+        *arguments,
+    ]
+
+
+@pytest.mark.parametrize("arguments", [["--instance", "x", "env"], ["env", "--instance", "x"]])
+def test_the_instance_is_the_one_named(arguments: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("VALOR_HOME", str(tmp_path))
+    monkeypatch.setenv("VALOR_INSTANCE", "other")
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "instance.json").write_text(Settings(robot=tmp_path, ros_domain_id=7).model_dump_json())
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "export VALOR_INSTANCE=x\n" in result.output
+    assert "export ROS_DOMAIN_ID=7\n" in result.output
+
+
+@given(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3))
+def test_every_number_can_be_an_argument(impulse: tuple[float, float, float]) -> None:
+    params = parsed("push", *map(repr, impulse))
+    assert (params["x"], params["y"], params["z"]) == impulse
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nothing"],
+        ["push", "1", "2"],
+        ["push", "a", "0", "0"],
+        ["push", "1", "2", "3", "--hard"],
+        ["arm", "middle", "hang"],
+        ["up", "--rtf", "-1"],
+        ["up", "--clock", "sundial"],
+        ["logs", "-n", "-3"],
+        ["status", "--instance"],
+    ],
+)
+def test_a_wrong_command_line_is_status_2(arguments: list[str]) -> None:
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "Error" in result.output
+
+
+def test_every_verb_has_help() -> None:
+    context = COMMAND.make_context("valorctl", ["status"])
+    for name in COMMAND.list_commands(context):
+        result = CliRunner().invoke(app, [name, "--help"])
+        assert result.exit_code == 0, (name, result.output)
+
+
+def test_the_environment_survives_a_shell(tmp_path: Path) -> None:
+    home = tmp_path / 'it\'s a $HOME; with "quotes" `x`'
+    instance = Instance("x", home)
+    instance.folder.mkdir(parents=True)
+    instance.settings_file.write_text(Settings(robot=tmp_path, ros_domain_id=7).model_dump_json())
+    script = exports(instance) + '\nprintf "%s" "$BIFROST_NETWORK"'
+    told = subprocess.run(
+        ["/bin/sh", "-c", script], capture_output=True, text=True, check=True, env={"PATH": os.defpath}
+    )
+    assert told.stdout == str(instance.network_file)
+    assert all(line.startswith("export ") and len(shlex.split(line)) == 2 for line in exports(instance).splitlines())
+
+
+def test_mode_flags_have_names() -> None:
+    assert flag_names(0) == []
+    assert flag_names(2 | 2048) == ["MODE_REJECTED", "ERR_INVALID_TRANSITION"]
+    assert flag_names(1 | 1 << 20) == ["MODE_ACCEPTED", "0x100000"]
+
+
+def test_the_flags_are_those_of_the_message() -> None:
+    message = pytest.importorskip("vigir_humanoid_control_msgs.msg").ControlModeStatus
+    assert {flag.name: flag.value for flag in Flag} == {
+        name: getattr(message, name) for name in dir(message) if name.startswith(("MODE_", "ERR_", "EXTERNAL_"))
+    }
+
+
+@pytest.mark.parametrize(
+    ("status", "current", "reached"),
+    [
+        (Flag.MODE_ACCEPTED, "stand", True),
+        (Flag.MODE_DUPLICATE, "stand", True),
+        (Flag.MODE_ACCEPTED, "freeze", False),
+        (Flag.MODE_REJECTED | Flag.ERR_INVALID_TRANSITION, "stand_prep", False),
+        (Flag.MODE_REJECTED, "stand", False),
+    ],
+)
+def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str, reached: bool) -> None:
+    change = ModeChange("stand", current, status, 0.1, "leg tired")
+    assert change.reached is reached
+    assert ("refused" in change.describe()) is not reached
+    assert ("leg tired" in change.describe()) is not reached

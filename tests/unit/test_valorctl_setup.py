@@ -1,0 +1,178 @@
+"""What `up` prepares: supervisord's configuration, the order of start, the ROS domain, the profile, the settings."""
+
+from __future__ import annotations
+
+import configparser
+import shlex
+import socket
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from valor_common import resources
+from valor_common.errors import ConfigurationError, ValorError
+from valor_common.instance import Instance, Settings
+from valor_common.processes import BY_NAME, PROCESSES, Process
+from valor_common.service import EXIT_CONFIGURATION
+from valorctl import instance_setup, supervisor_config
+from valorctl.instance_setup import DOMAINS, Request, choose_domain, discovery_port, domain_is_free, domains_taken
+from valorctl.profile import Profile
+from valorctl.startup import waves
+
+
+def rendered() -> configparser.RawConfigParser:
+    parser = configparser.RawConfigParser(inline_comment_prefixes=(";", "#"))
+    parser.read_string(supervisor_config.render(PROCESSES))
+    return parser
+
+
+def test_every_row_of_the_process_table_becomes_a_program() -> None:
+    parser = rendered()
+    for process in PROCESSES:
+        program = parser[f"program:{process.name}"]
+        assert shlex.split(program["command"])[-2:] == ["-m", process.module]
+        assert program["exitcodes"] == str(EXIT_CONFIGURATION)
+        assert program["autorestart"] == "unexpected"
+        assert program["stopasgroup"] == program["killasgroup"] == "true"
+        assert int(program["stopwaitsecs"]) >= process.stop_timeout - 0.5
+        assert program["redirect_stderr"] == "true"
+        assert program["stdout_logfile"].endswith(f"/logs/{process.name}.log")
+    assert len([name for name in parser.sections() if name.startswith("program:")]) == len(PROCESSES)
+
+
+def test_supervisord_listens_on_no_network() -> None:
+    assert "inet_http_server" not in rendered().sections()
+
+
+def test_processes_get_one_thread_each_and_the_instance(tmp_path: Path) -> None:
+    instance = Instance("x", tmp_path)
+    instance.folder.mkdir()
+    instance.settings_file.write_text(Settings(robot=tmp_path, ros_domain_id=7).model_dump_json())
+    made = supervisor_config.environment(instance, "/usr/bin/python3", {"KEPT": "1", "ROS_DOMAIN_ID": "0"})
+    assert made["KEPT"] == made["OPENBLAS_NUM_THREADS"] == made["OMP_NUM_THREADS"] == "1"
+    assert (made["ROS_DOMAIN_ID"], made["VALOR_INSTANCE"], made["VALOR_HOME"]) == ("7", "x", str(tmp_path))
+    assert supervisor_config.MARKER in made
+    assert supervisor_config.MARKER not in instance.environment()
+
+
+def test_a_home_too_long_for_a_socket_is_refused_before_anything_happens(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="shorter VALOR_HOME"):
+        supervisor_config.socket_file(Instance("x", tmp_path / ("d" * 100)))
+
+
+def process(name: str, *needs: str) -> Process:
+    return Process(name, name, "", needs, False, 1.0, 1.0)
+
+
+def test_processes_start_after_what_they_need() -> None:
+    groups = waves([process("c", "b"), process("a"), process("b", "a"), process("d", "a")])
+    assert [[p.name for p in group] for group in groups] == [["a"], ["b", "d"], ["c"]]
+    with pytest.raises(ValueError, match="a, b"):
+        waves([process("a", "b"), process("b", "a")])
+
+
+def test_the_table_starts_in_two_waves() -> None:
+    first, second = waves(PROCESSES)
+    assert [p.name for p in first] == ["bifrostd"]
+    assert {p.name for p in second} == set(BY_NAME) - {"bifrostd"}
+
+
+@given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))
+def test_a_domain_is_chosen_that_nobody_has(key: str, taken: set[int], busy: set[int]) -> None:
+    if len(taken | busy) == len(DOMAINS):
+        with pytest.raises(ValorError, match="no free ROS domain"):
+            choose_domain(key, taken, lambda domain: domain not in busy)
+        return
+    domain = choose_domain(key, taken, lambda domain: domain not in busy)
+    assert domain in DOMAINS
+    assert domain not in taken | busy
+    assert domain == choose_domain(key, taken, lambda domain: domain not in busy)
+
+
+def test_two_names_begin_their_search_at_different_places() -> None:
+    assert len({choose_domain(f"/home/{name}", set(), lambda _: True) for name in "abcdefgh"}) > 4
+
+
+def test_domains_keep_clear_of_ephemeral_ports() -> None:
+    assert discovery_port(0) == 7410
+    assert discovery_port(max(DOMAINS)) + 240 < 32768 + 250
+
+
+def test_a_domain_in_use_is_seen() -> None:
+    domain = choose_domain("test", set(), domain_is_free)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("127.0.0.1", discovery_port(domain)))
+        assert not domain_is_free(domain)
+    assert domain_is_free(domain)
+
+
+def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
+    for name, content in (("a", '{"ros_domain_id": 5}'), ("b", '{"ros_domain_id": 6}'), ("c", "garbage")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "instance.json").write_text(content)
+    assert domains_taken(tmp_path, but=Instance("b", tmp_path)) == {5}
+
+
+def test_the_profiles_that_come_with_us_are_valid() -> None:
+    files = sorted((Path(resources.profile_file("sim"))).parent.glob("*.yaml"))
+    assert [file.stem for file in files] == ["sim"]
+    for file in files:
+        profile = Profile.load(file)
+        assert profile.initial_mode == "stand"
+        assert [p.name for p in profile.table] == list(BY_NAME)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"processes": ["bifrostd", "motion_master"]}, "motion_master"),
+        ({"processes": ["comms_manager"]}, "comms_manager needs bifrostd"),
+        ({"processes": []}, "processes"),
+        ({"initial_posture": "stand"}, "initial_posture"),
+        ({"defaults": {"clock": "sundial"}}, "defaults.clock"),
+        ({"defaults": {"real_time_factor": -1}}, "defaults.real_time_factor"),
+    ],
+)
+def test_a_wrong_profile_names_file_and_key(tmp_path: Path, change: dict[str, object], words: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(yaml.safe_dump({"description": "mine", "processes": ["bifrostd"]} | change))
+    with pytest.raises(ConfigurationError, match=words) as caught:
+        Profile.load(file)
+    assert str(file) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_options_go_before_the_profile() -> None:
+    plan = instance_setup.plan(Request(clock="realtime", seed=7, real_time_factor=0.0, initial_mode=""))
+    assert (plan.settings.clock, plan.settings.seed, plan.settings.real_time_factor) == ("realtime", 7, 0.0)
+    assert (plan.settings.actuators, plan.settings.robot) == ("hardware", resources.robot_folder("escher"))
+    assert plan.initial_mode is None
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (Request(profile="moon"), "profile 'moon'.*sim"),
+        (Request(robot="atlas"), "robot 'atlas'.*escher"),
+        (Request(robot="/nowhere"), "robot '/nowhere'"),
+        (Request(actuators="magic"), "--actuators 'magic'.*ideal"),
+        (Request(bag=Path("/")), "--bag"),
+    ],
+)
+def test_what_is_unknown_is_refused_with_the_known(request_: Request, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        instance_setup.plan(request_)
+
+
+def test_only_one_may_change_an_instance(tmp_path: Path) -> None:
+    instance = Instance("x", tmp_path)
+    with instance_setup.changing(instance):
+        with pytest.raises(ValorError, match="another valorctl"), instance_setup.changing(instance):
+            pass
+        with instance_setup.changing(Instance("y", tmp_path)):
+            pass
+    with instance_setup.changing(instance):
+        pass
