@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
 from pathlib import Path
 from typing import get_type_hints
 
 import pytest
-from ament_index_python import get_package_share_directory
 
 from bifrost import Float64Array, Message, Uint8Array
 from valor_common.messages import JointMode
@@ -65,7 +65,7 @@ def test_the_joint_modes_have_the_same_numbers() -> None:
 
 @pytest.mark.parametrize("package", sorted(file.parent.name for file in INTERFACES.glob("*/package.xml")))
 def test_the_installed_wheel_is_the_one_of_these_sources(package: str) -> None:
-    installed = Path(get_package_share_directory(package))
+    installed = Path(sys.prefix) / "share" / package
     sources = {
         str(file.relative_to(INTERFACES / package)): file.read_text()
         for folder in ("msg", "srv", "action")

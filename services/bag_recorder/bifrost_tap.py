@@ -1,0 +1,72 @@
+"""What the recorder takes from Bifrost: every topic of the table, as twins under ``/bifrost``."""
+
+from __future__ import annotations
+
+import logging
+import struct
+
+import bifrost
+from bag_recorder.bag import Bag, RecordedTopic
+from bag_recorder.clock import WallClock
+from bag_recorder.definitions import definition
+from bag_recorder.twin import TwinEncoder, twin_type
+from valor_common.topics import TOPICS, Topic
+
+PREFIX = "/bifrost/"
+QUEUE = 4000  # messages a topic: eight seconds at 500 Hz while the recorder is held up
+
+_log = logging.getLogger("bag_recorder")
+
+
+class _Tap:
+    """One topic."""
+
+    def __init__(self, node: bifrost.Node, topic: Topic) -> None:
+        self.subscriber = node.subscriber(topic.name, topic.type, queue=QUEUE)
+        self.every = topic.record_every
+        self.encode = TwinEncoder(topic.type).encode
+        name = twin_type(topic.type)
+        self.recorded = RecordedTopic(PREFIX + topic.name, name, definition(name))
+        self.unfit = 0  # messages that have no twin: an integer beyond 64 signed bits
+
+
+class BifrostTap:
+    """Subscribes to every topic that is recorded, and moves what has come into the bag."""
+
+    def __init__(self, node: bifrost.Node, clock: WallClock) -> None:
+        self._offset = clock.offset
+        self._taps = [_Tap(node, topic) for topic in TOPICS if topic.record_every > 0]
+
+    @property
+    def drops(self) -> int:
+        """Messages lost on the way here, refused or not convertible, since start."""
+        return sum(tap.subscriber.drops + tap.subscriber.rejected + tap.unfit for tap in self._taps)
+
+    def drain(self, bag: Bag | None) -> int:
+        """Write what waits; without a bag it is let go. Returns how many messages there were.
+
+        Both times of a message are its publication on the wall clock: when it was drained says nothing of it.
+
+        Raises:
+            OSError: the bag cannot be written.
+        """
+        offset, count = self._offset, 0
+        for tap in self._taps:
+            waiting = tap.subscriber.drain()
+            count += len(waiting)
+            if bag is None:
+                continue
+            for received in waiting:
+                sequence = received.sequence
+                if tap.every > 1 and sequence % tap.every:
+                    continue
+                stamp = received.stamp + offset
+                try:
+                    data = tap.encode(received, stamp)
+                except struct.error as error:
+                    tap.unfit += 1
+                    if tap.unfit == 1:
+                        _log.warning("%s: not recorded: %s", tap.recorded.name, error)
+                    continue
+                bag.write(tap.recorded, stamp, stamp, sequence, data)
+        return count

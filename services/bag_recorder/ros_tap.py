@@ -1,0 +1,165 @@
+"""What the recorder takes from ROS 2: every topic of the graph, as the bytes that came.
+
+Nothing spins. The middleware receives in threads of its own and stamps what it receives; the recorder takes the bytes
+from each subscription's queue at its own pace, which costs some microseconds a message where an executor's wake-up
+costs over a hundred.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from collections.abc import Iterable
+from typing import Any
+
+import rclpy
+import yaml
+from rclpy.context import Context
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from bag_recorder.bag import Bag, RecordedTopic
+from bag_recorder.definitions import UnknownTypeError, definition
+
+DEPTH = 2000  # messages a topic that may wait for the next look
+
+_log = logging.getLogger("bag_recorder")
+
+
+class _Tap:
+    """One topic's subscription."""
+
+    def __init__(self, node: Any, topic: RecordedTopic, message_type: type, qos: QoSProfile) -> None:
+        self.topic = topic
+        self.message_type = message_type
+        self.qos = qos
+        self.subscription = node.create_subscription(message_type, topic.name, _unused, qos, raw=True)
+
+
+def _unused(_: bytes) -> None:
+    raise AssertionError("nothing spins this node")
+
+
+class RosTap:
+    """Discovers topics, subscribes with a QoS that suits all their publishers, and moves what has come into the bag."""
+
+    def __init__(self, domain_id: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain_id)
+        self._node = rclpy.create_node(
+            "bag_recorder",
+            context=self._context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._taps: dict[str, _Tap] = {}
+        self._refused: set[str] = set()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def discover(self) -> None:
+        """Subscribe to topics that are new, and anew to those whose publishers now offer less than was asked for."""
+        for name, types in self._node.get_topic_names_and_types():
+            if name in self._refused or _hidden(name):
+                continue
+            publishers = [
+                each
+                for each in self._node.get_publishers_info_by_topic(name)
+                if each.node_name != self._node.get_name()
+            ]
+            if not publishers:
+                continue
+            qos = _suiting([publisher.qos_profile for publisher in publishers])
+            tap = self._taps.get(name)
+            if tap is None:
+                self._subscribe(name, types, qos)
+            elif _asks_less(qos, tap.qos):
+                self._node.destroy_subscription(tap.subscription)
+                self._taps[name] = _Tap(self._node, tap.topic, tap.message_type, qos)
+
+    def drain(self, bag: Bag | None) -> int:
+        """Write what waits; without a bag it is let go. Returns how many messages there were.
+
+        ``log_time`` is when the middleware received a message, ``publish_time`` when it was sent.
+
+        Raises:
+            OSError: the bag cannot be written.
+        """
+        count = 0
+        for tap in self._taps.values():
+            handle, message_type = tap.subscription.handle, tap.message_type
+            with handle:
+                while (taken := handle.take_message(message_type, True)) is not None:
+                    count += 1
+                    if bag is not None:
+                        data, info = taken
+                        bag.write(
+                            tap.topic,
+                            info["received_timestamp"],
+                            info["source_timestamp"],
+                            info["publication_sequence_number"] or 0,
+                            data,
+                        )
+        return count
+
+    def _subscribe(self, name: str, types: list[str], qos: QoSProfile) -> None:
+        try:
+            if len(types) > 1:
+                raise UnknownTypeError(f"it has more than one type: {', '.join(sorted(types))}")
+            topic = RecordedTopic(name, types[0], definition(types[0]), _qos_text(qos))
+            self._taps[name] = _Tap(self._node, topic, _message_type(types[0]), qos)
+        except UnknownTypeError as error:
+            self._refused.add(name)
+            _log.warning("%s: not recorded: %s", name, error)
+
+
+def _hidden(name: str) -> bool:
+    return any(token.startswith("_") for token in name.split("/"))
+
+
+def _message_type(type_name: str) -> type:
+    package, kind, base = type_name.split("/")
+    try:
+        found: type = getattr(importlib.import_module(f"{package}.{kind}"), base)
+    except (ImportError, AttributeError):
+        raise UnknownTypeError(f"{type_name} has no Python package here") from None
+    return found
+
+
+def _suiting(offered: Iterable[QoSProfile]) -> QoSProfile:
+    """The most that all publishers offer: reliable and transient-local only if every one of them is."""
+    offered = list(offered)
+    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _asks_less(new: QoSProfile, old: QoSProfile) -> bool:
+    """Whether a subscription with ``old`` would not hear publishers that ``new`` suits."""
+    reliability = old.reliability == ReliabilityPolicy.RELIABLE != new.reliability
+    durability = old.durability == DurabilityPolicy.TRANSIENT_LOCAL != new.durability
+    return bool(reliability or durability)
+
+
+def _qos_text(qos: QoSProfile) -> str:
+    """As rosbag2 writes it into the channel, so that a player offers the like."""
+    unlimited = {"sec": 9223372036, "nsec": 854775807}
+    profile = {
+        "history": "keep_last",
+        "depth": 10,
+        "reliability": qos.reliability.name.lower(),
+        "durability": qos.durability.name.lower(),
+        "deadline": unlimited,
+        "lifespan": unlimited,
+        "liveliness": "automatic",
+        "liveliness_lease_duration": unlimited,
+        "avoid_ros_namespace_conventions": False,
+    }
+    return yaml.safe_dump([profile], sort_keys=False)
