@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import time
 
+import numpy as np
+
 from motion_manager.manager import MotionManager
 from valor_common.messages import (
     BehaviorReply,
@@ -67,6 +69,7 @@ class MotionManagerService:
     def run(self) -> None:
         """Answer every Proprioceptor until told to stop."""
         quiet_collector()
+        np.seterr(all="ignore")  # what is not finite is looked for and dealt with where it matters
         self._wait_for_robot(f"no {PROPRIOCEPTOR.name} yet")
         heard = time.perf_counter()
         while not self._context.stopping.is_set():

@@ -1,0 +1,214 @@
+"""What stands between any set-point and a joint: limits in position, velocity and acceleration, whatever comes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motion_manager.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
+from motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
+from motion_manager.posture_move import PostureMove
+from tests.conftest import ROBOTS
+from valor_common.robot import FloatVector, RobotDescription
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+N = len(ROBOT.joints)
+DT = ROBOT.control_period
+SLACK = 1.02  # the last step onto a limit may brake so much harder than planned
+
+
+class Watch:
+    """Sees every step of a reference, and that none passes a limit."""
+
+    def __init__(self, position: FloatVector) -> None:
+        self.position, self.velocity = position.copy(), np.zeros(N)
+
+    def step(self, position: FloatVector, velocity: FloatVector) -> None:
+        assert np.isfinite(position).all()
+        assert np.isfinite(velocity).all()
+        moved = (position - self.position) / DT
+        assert np.allclose(moved, velocity, atol=1e-9)
+        assert (np.abs(velocity) <= VELOCITY_FACTOR * ROBOT.velocity_limit * (1 + 1e-9)).all()
+        jerked = np.abs(velocity - self.velocity) / DT
+        assert (jerked <= SLACK * ROBOT.velocity_limit / ACCELERATION_TIME).all()
+        outside = (position < ROBOT.lower - 1e-12) | (position > ROBOT.upper + 1e-12)
+        # Outside only where it was found outside, and never further out.
+        inwards = np.abs(position - np.clip(position, ROBOT.lower, ROBOT.upper)) <= np.abs(
+            self.position - np.clip(self.position, ROBOT.lower, ROBOT.upper)
+        )
+        assert (~outside | inwards).all()
+        self.position, self.velocity = position.copy(), velocity.copy()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(st.tuples(st.floats(-10, 10), st.floats(-1, 1), st.integers(1, 200)), min_size=1, max_size=12),
+)
+def test_no_target_however_wild_makes_a_joint_pass_a_limit(seed: int, targets: list[tuple[float, float, int]]) -> None:
+    rng = np.random.default_rng(seed)
+    limiter = JointLimiter(ROBOT)
+    found = rng.uniform(-3, 3, N)
+    limiter.reset(np.ones(N, dtype=bool), found)
+    watch = Watch(found)
+    for scale, speed, periods in targets:
+        target, velocity = scale * rng.uniform(-1, 1, N), speed * rng.choice([-1, 0, 1], N) * ROBOT.velocity_limit
+        for _ in range(periods):
+            target = target + velocity * DT
+            limiter.advance(target, velocity, DT)
+            watch.step(limiter.position, limiter.velocity)
+
+
+def test_a_step_is_reached_without_overshoot_as_fast_as_the_limits_allow() -> None:
+    limiter = JointLimiter(ROBOT)
+    start = limiter.position.copy()
+    goal = np.clip(np.full(N, 0.5), ROBOT.lower, ROBOT.upper)
+    way, beyond, arrived = goal - start, np.zeros(N), np.full(N, np.inf)
+    for period in range(2000):
+        limiter.advance(goal, np.zeros(N), DT)
+        beyond = np.maximum(beyond, np.sign(way) * (limiter.position - goal))
+        arrived = np.minimum(arrived, np.where(np.abs(limiter.position - goal) < 1e-3, period * DT, np.inf))
+    assert beyond.max() < 1e-5
+    assert np.abs(limiter.position - goal).max() < 1e-9
+    speed, acceleration = limiter.velocity_limit, limiter.acceleration_limit
+    ramp = np.minimum(speed, np.sqrt(np.abs(way) * acceleration))  # peak velocity of the fastest possible move
+    fastest = np.abs(way) / ramp + ramp / acceleration
+    assert (arrived <= 1.3 * fastest + 0.01).all()
+
+
+def test_a_trajectory_within_the_limits_is_followed_exactly() -> None:
+    limiter = JointLimiter(ROBOT)
+    centre = 0.5 * (np.maximum(ROBOT.lower, -1.0) + np.minimum(ROBOT.upper, 1.0))
+    limiter.reset(np.ones(N, dtype=bool), centre)
+    amplitude = 0.1 * np.minimum(1.0, ROBOT.velocity_limit)
+    for period in range(1, 2000):
+        t = period * DT
+        target = centre + amplitude * (1 - np.cos(2 * t))
+        limiter.advance(target, 2 * amplitude * np.sin(2 * t), DT)
+        assert np.abs(limiter.position - target).max() < 1e-12
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0))
+def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, shortest: float) -> None:
+    rng = np.random.default_rng(seed)
+    start, goal = rng.uniform(-1, 1, N), rng.uniform(-1, 1, N)
+    velocity, acceleration = rng.uniform(0.1, 2, N), rng.uniform(1, 20, N)
+    move = PostureMove(start, goal, velocity=velocity, acceleration=acceleration, began=5.0, shortest=shortest)
+    assert move.duration >= shortest
+    times = np.linspace(5.0, 5.0 + move.duration, 201)
+    samples = [move.at(float(t)) for t in times]
+    position, rate, change = (np.array(column) for column in zip(*samples, strict=True))
+    assert np.allclose(position[0], start)
+    assert np.allclose(position[-1], goal)
+    assert (np.abs(rate) <= velocity * (1 + 1e-9)).all()
+    assert (np.abs(change) <= acceleration * (1 + 1e-9)).all()
+    assert np.allclose(np.gradient(position, times, axis=0)[1:-1], rate[1:-1], atol=0.02 * velocity.max())
+    assert np.allclose(move.at(1e3)[0], goal)
+    assert not move.at(1e3)[1].any()
+
+
+def everything() -> np.ndarray:
+    return np.ones(N, dtype=bool)
+
+
+def test_a_set_point_with_velocity_does_not_run_on() -> None:
+    reference = JointReference(ROBOT)
+    joints = ROBOT.group_indices("right_arm")
+    start = ROBOT.nominal_posture
+    reference.take_up(everything(), start)
+    speed = 0.3
+    watch = Watch(start)
+    for period in range(1000):
+        now = period * DT
+        if period <= 100 and period % 2 == 0:
+            where = start[joints] + speed * now
+            k = len(joints)
+            reference.follow(Setpoint(joints, where, np.full(k, speed), np.zeros(k), now))
+        reference.advance(now, DT)
+        watch.step(reference.position, reference.velocity)
+    last = start[joints] + speed * 100 * DT
+    assert np.allclose(reference.position[joints], last + speed * SETPOINT_HORIZON, atol=1e-3)
+    assert not reference.velocity.any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_no_sequence_of_holds_moves_and_set_points_makes_a_joint_jump(data: st.DataObject) -> None:
+    reference = JointReference(ROBOT)
+    reference.take_up(everything(), ROBOT.nominal_posture)
+    watch, now = Watch(ROBOT.nominal_posture), 0.0
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    for what in data.draw(st.lists(st.sampled_from(["hold", "move", "follow", "wait"]), max_size=15)):
+        some = rng.random(N) < 0.5
+        if what == "hold":
+            reference.hold(some)
+        elif what == "move":
+            reference.move(some, np.clip(rng.uniform(-2, 2, N), ROBOT.lower, ROBOT.upper), now)
+        elif what == "follow" and some.any():
+            places = np.flatnonzero(some)
+            k = len(places)
+            limit = ROBOT.velocity_limit[places]
+            reference.follow(
+                Setpoint(
+                    places,
+                    np.clip(rng.uniform(-4, 4, k), ROBOT.lower[places], ROBOT.upper[places]),
+                    rng.uniform(-1, 1, k) * limit,
+                    rng.uniform(-1, 1, k) * limit / ACCELERATION_TIME,
+                    now + rng.uniform(-0.5, 0.1),
+                )
+            )
+        for _ in range(int(rng.integers(1, 120))):
+            now += DT
+            reference.advance(now, DT)
+            watch.step(reference.position, reference.velocity)
+
+
+def test_joints_that_hold_brake_to_rest_and_stay() -> None:
+    reference = JointReference(ROBOT)
+    reference.take_up(everything(), ROBOT.nominal_posture)
+    goal = np.clip(ROBOT.nominal_posture + 1.0, ROBOT.lower, ROBOT.upper)
+    reference.move(everything(), goal, 0.0)
+    for period in range(300):
+        reference.advance(period * DT, DT)
+    assert np.abs(reference.velocity).max() > 0.1
+    reference.hold(everything())
+    for period in range(300, 600):
+        reference.advance(period * DT, DT)
+    rest = reference.position.copy()
+    assert not reference.velocity.any()
+    assert not np.allclose(rest, goal)
+    for period in range(600, 700):
+        reference.advance(period * DT, DT)
+    assert np.array_equal(reference.position, rest)
+
+
+def test_a_set_point_takes_its_joints_out_of_a_move_and_leaves_the_rest_in_it() -> None:
+    reference = JointReference(ROBOT)
+    reference.take_up(everything(), ROBOT.nominal_posture)
+    goal = np.clip(ROBOT.nominal_posture + 0.3, ROBOT.lower, ROBOT.upper)
+    arm = ROBOT.group_indices("left_arm")
+    reference.move(everything(), goal, 0.0)
+    for period in range(2000):
+        if period == 100:
+            k = len(arm)
+            reference.follow(Setpoint(arm, ROBOT.nominal_posture[arm], np.zeros(k), np.zeros(k), period * DT))
+        reference.advance(period * DT, DT)
+    rest = np.setdiff1d(np.arange(N), arm)
+    assert np.allclose(reference.position[arm], ROBOT.nominal_posture[arm], atol=1e-9)
+    assert np.allclose(reference.position[rest], goal[rest], atol=1e-9)
+
+
+@pytest.mark.parametrize("missed", [1, 5, 10])
+def test_a_longer_period_keeps_the_limits_too(missed: int) -> None:
+    limiter = JointLimiter(ROBOT)
+    goal = np.clip(np.full(N, 2.0), ROBOT.lower, ROBOT.upper)
+    for _ in range(1000):
+        before = limiter.velocity.copy()
+        limiter.advance(goal, np.zeros(N), missed * DT)
+        assert (np.abs(limiter.velocity) <= limiter.velocity_limit * (1 + 1e-9)).all()
+        allowed = SLACK * limiter.acceleration_limit * missed * DT
+        assert (np.abs(limiter.velocity - before) <= allowed + 1e-9).all()
+    assert np.allclose(limiter.position, goal, atol=1e-6)
