@@ -19,7 +19,6 @@ from typing import BinaryIO
 
 from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.stream_reader import get_chunk_data_stream
@@ -134,7 +133,7 @@ def _read(file: BinaryIO, size: int) -> _Contents:
         if opcode == Opcode.CHUNK:
             try:
                 expected = _read_chunk(content, offset, contents)
-            except (McapError, ValueError, RuntimeError, struct.error):
+            except Exception:  # each decompressor has errors of its own
                 break  # not what was written: nothing after it can be trusted
             contents.end, found = end, 0
             contents.last_indices = list(expected.values())
