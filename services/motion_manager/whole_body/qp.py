@@ -54,7 +54,6 @@ class ContactForceQp:
         self._damping = joint_damping
         self._joints = len(joint_damping)
         self._lower = np.zeros(generators)
-        self._no_rows = np.zeros((0, generators))
         self._none = np.zeros(0, dtype=np.intp)
         self._values = np.zeros(2 * self._joints)
         self.rho_upper = np.full(generators, UNBOUNDED)
@@ -110,7 +109,7 @@ class ContactForceQp:
         if joined.size:
             lower = np.concatenate((lower, bounds.lower[joined]))
             upper = np.concatenate((upper, bounds.upper[joined]))
-        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, self._no_rows, upper, lower)
+        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, np.empty((0, upper.size)), upper, lower)
         if flag < 1:
             raise NotSolvable(f"DAQP ended with flag {flag}")
         minimum: FloatArray = z
