@@ -10,6 +10,8 @@ One cycle, at every second Proprioceptor::
 
 from __future__ import annotations
 
+import time
+
 from valor_ros_controller.control_modes import ControlModeTable
 from valor_ros_controller.controller_manager import Controller, ControllerManager
 from valor_ros_controller.controllers.control_mode_controller import ControlModeController
@@ -28,6 +30,7 @@ class ValorEscherController:
         modes: the control mode manager, with the one controller ``mode_controller``.
         joints: the joint manager.
         robots: the robot manager.
+        began: when the newest cycle began, its data having come [``time.perf_counter()``, s].
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class ValorEscherController:
         self.modes = ControllerManager("mode", [mode_controller])
         self.joints = ControllerManager("joint", joint_controllers)
         self.robots: ControllerManager[Controller] = ControllerManager("robot", robot_controllers)
+        self.began = 0.0
         self._resets = 0
         self._last_time = 0
         self.modes.switch([mode_controller.name], hw, "start")
@@ -66,6 +70,7 @@ class ValorEscherController:
     def update(self) -> bool:
         """Wait for data and run one cycle; whether a measurement came."""
         measured = self._interface.read(WAIT)
+        self.began = time.perf_counter()
         hw = self._hw
         went_back = hw.time < self._last_time
         self._last_time = hw.time

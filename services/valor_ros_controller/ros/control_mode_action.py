@@ -1,0 +1,99 @@
+"""The ROS face of the control mode controller: ViGIR's action, command topic and reports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.action import CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from vigir_humanoid_control_msgs.action import ChangeControlMode
+from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
+
+from valor_ros_controller.control_modes import ModeStatus
+from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor_ros_controller.ros.deferred_action_server import DeferredActionServer
+
+ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
+COMMAND = "/flor/controller/mode_command"
+REPORT = "/flor/controller/mode"
+NAME = "/flor/controller/mode_name"
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+REPORT_PERIOD = 1_000_000_000  # reports are repeated so often [ns of robot time]
+
+
+class _ModeGoal:
+    """A goal of the action."""
+
+    def __init__(self, face: ControlModeAction, handle: ServerGoalHandle) -> None:
+        self._face = face
+        self._handle = handle
+
+    def processing(self, report: ModeReport) -> None:
+        self._handle.publish_feedback(ChangeControlMode.Feedback(feedback=self._face.message(report)))
+
+    def finish(self, report: ModeReport) -> None:
+        state = "succeed" if report.status & ModeStatus.MODE_ACCEPTED else "abort"
+        result = ChangeControlMode.Result(result=self._face.message(report))
+        self._face.server.finish(self._handle, state, result)
+
+
+class ControlModeAction:
+    """Control modes on ROS.
+
+    Attributes:
+        server: the action server.
+    """
+
+    def __init__(self, node: Node, controller: ControlModeController, stamp: Time) -> None:
+        """Open the interfaces.
+
+        Args:
+            node: the ROS node.
+            controller: is asked and reported of.
+            stamp: robot time, kept up to date by its owner.
+        """
+        self._controller = controller
+        self._stamp = stamp
+        self._report = node.create_publisher(ControlModeStatus, REPORT, LATCHED)
+        self._name = node.create_publisher(String, NAME, LATCHED)
+        self._reports = 0
+        self._mode = ""
+        self._repeat_at = 0
+        self.server = DeferredActionServer(node, ChangeControlMode, ACTION, self._goal, self._cancel)
+        node.create_subscription(VigirControlModeCommand, COMMAND, self._command, 10)
+
+    def message(self, report: ModeReport) -> Any:
+        """The message for a report, stamped now."""
+        message = ControlModeStatus()
+        message.header.stamp = Time(sec=self._stamp.sec, nanosec=self._stamp.nanosec)
+        message.requested_control_mode = report.requested
+        message.current_control_mode = report.current
+        message.status = int(report.status)
+        return message
+
+    def publish(self, time: int) -> None:
+        """Report on change and every ``REPORT_PERIOD``; ``time`` is robot time [ns]. Update thread."""
+        if self._controller.reports == self._reports and time < self._repeat_at <= time + REPORT_PERIOD:
+            return
+        self._reports = self._controller.reports
+        self._repeat_at = time + REPORT_PERIOD
+        report = self._controller.report
+        self._report.publish(self.message(report))
+        if report.current != self._mode:
+            self._mode = report.current
+            self._name.publish(String(data=report.current))
+
+    def _goal(self, handle: ServerGoalHandle) -> None:
+        self._controller.request(handle.request.mode_request, _ModeGoal(self, handle))
+
+    @staticmethod
+    def _cancel(_: ServerGoalHandle) -> CancelResponse:
+        # Half a transition cannot be taken back. What may be wanted instead, freeze or soft_stop, preempts it.
+        return CancelResponse.REJECT
+
+    def _command(self, message: Any) -> None:
+        self._controller.request(message.requested_control_mode)

@@ -1,0 +1,88 @@
+"""The one ROS node of the VRC, and the thread that runs its callbacks."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import TypeVar
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from valor_common.errors import ConfigurationError
+
+_log = logging.getLogger("ros")
+
+T = TypeVar("T", bool, int, float, str)
+
+
+class RosThread(threading.Thread):
+    """Owns the node; its callbacks (goals, cancellations, commands, timers) run here and nowhere else.
+
+    Attributes:
+        node: the ROS node.
+        failures: callbacks that raised: logged, counted, and the thread goes on.
+    """
+
+    def __init__(self, name: str, arguments: list[str]) -> None:
+        """Join the ROS domain of the environment.
+
+        Args:
+            name: of the node.
+            arguments: of the command line, for ROS (``--ros-args -p update_rate:=125``).
+
+        Raises:
+            ConfigurationError: the arguments are not ROS arguments.
+        """
+        super().__init__(name="ros", daemon=True)
+        try:
+            # Signals are the service's own: it ends its loop first and ROS last.
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        except Exception as error:
+            raise ConfigurationError(f"ROS arguments {arguments}: {' '.join(str(error).split())}") from None
+        self.node = Node(name, enable_rosout=False)
+        self.failures = 0
+        self._closing = False
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+
+    def parameter(self, name: str, default: T, description: str) -> T:
+        """Declare a parameter and read it, once: it is read-only.
+
+        Raises:
+            ConfigurationError: it was set to a value of another type.
+        """
+        from rcl_interfaces.msg import ParameterDescriptor
+
+        descriptor = ParameterDescriptor(description=description, read_only=True)
+        try:
+            parameter: Parameter = self.node.declare_parameter(name, default, descriptor)
+        except Exception as error:
+            raise ConfigurationError(f"ROS parameter {name}: {error}; expected as {default!r}") from None
+        value: T = parameter.value
+        return value
+
+    def run(self) -> None:
+        """The thread."""
+        while not self._closing:
+            try:
+                self._executor.spin_once()
+            except (ExternalShutdownException, ShutdownException):
+                return
+            except Exception:
+                # A message that cannot be taken (text that is not UTF-8, say) must not end the thread.
+                self.failures += 1
+                _log.exception("a ROS callback failed")
+
+    def close(self) -> None:
+        """End the thread, then the node, then ROS."""
+        self._closing = True
+        self._executor.wake()
+        if self.is_alive():
+            self.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()

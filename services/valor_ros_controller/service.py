@@ -1,0 +1,169 @@
+"""The Valor ROS Controller as a service: puts its parts together and turns the loop.
+
+Three threads (``docs/valor_ros_controller.md`` holds them against figure 4.2): this one waits for Proprioceptor and runs
+the controllers and the publisher; the ROS thread runs callbacks; the behavior commander waits for the Motion Manager's
+replies.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+from builtin_interfaces.msg import Time
+
+from valor_common.errors import ConfigurationError
+from valor_common.service import Context, quiet_collector
+from valor_ros_controller.control_modes import ControlModeTable
+from valor_ros_controller.controllers.control_mode_controller import ControlModeController
+from valor_ros_controller.controllers.joint_trajectory_controller import (
+    ControllersTable,
+    JointTrajectoryController,
+)
+from valor_ros_controller.kinematic_tree import KinematicTree
+from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor_ros_controller.ros.control_mode_action import ControlModeAction
+from valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
+from valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
+from valor_ros_controller.ros.node import RosThread
+from valor_ros_controller.ros.parameters import configured
+from valor_ros_controller.ros.publisher import Publisher
+from valor_ros_controller.valor_escher_controller import ValorEscherController
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+
+_log = logging.getLogger("valor_ros_controller")
+
+SWITCH_INTERVAL = 0.0005
+"""How long the ROS thread may keep the interpreter from the update thread [s]; Python's own is ten times that."""
+SNAPSHOT_PERIOD = 0.25  # [s]
+
+
+class ValorRosController:
+    """Everything, from tables to threads."""
+
+    def __init__(self, context: Context) -> None:
+        """Put it together.
+
+        Raises:
+            ConfigurationError: a table, a parameter or the robot's model is wrong.
+        """
+        self._context = context
+        robot = context.robot
+        modes, controllers = ControlModeTable.load(), ControllersTable.load()
+        tree = KinematicTree.load(robot)
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        self._ros = RosThread(context.name, sys.argv[1:])
+        try:
+            control_rate = robot.tables.control_rate
+            rate = self._ros.parameter("update_rate", 250.0, "of the update loop [Hz], at most the control rate")
+            if not 1.0 <= rate <= control_rate:
+                raise ConfigurationError(f"ROS parameter update_rate: {rate:g} Hz; expected 1 to {control_rate:g}")
+            timeout = self._ros.parameter(
+                "silence_timeout", 0.5, "a process that publishes nothing for so long is silent [s]"
+            )
+            self._assemble(modes, controllers, tree, max(1, round(control_rate / rate)), timeout)
+        except BaseException:
+            self._ros.close()
+            raise
+
+    def _assemble(
+        self,
+        modes: ControlModeTable,
+        controllers: ControllersTable,
+        tree: KinematicTree,
+        decimation: int,
+        silence_timeout: float,
+    ) -> None:
+        context, node = self._context, self._ros.node
+        robot = context.robot
+        rate = robot.tables.control_rate / decimation
+        self._stamp = Time()
+        self._hw = ValorEscherHWInterface(robot)
+        self._interface = ValorEscherInterface(context.node, self._hw, decimation, silence_timeout)
+        mode_controller = ControlModeController(modes, self._interface)
+        joint_controllers = [
+            JointTrajectoryController(name, configured(self._ros, name, config), robot, modes.running(name))
+            for name, config in controllers.controllers.items()
+        ]
+        self._controller = ValorEscherController(
+            table=modes,
+            hw=self._hw,
+            interface=self._interface,
+            mode_controller=mode_controller,
+            joint_controllers=joint_controllers,
+            robot_controllers=[],
+        )
+        self._publisher = Publisher(
+            node, robot, tree, self._stamp, rate, simulated=context.settings.profile != "hardware"
+        )
+        self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
+        self._joint_faces = [
+            JointTrajectoryAction(node, controllers.namespace, controller, self._stamp)
+            for controller in joint_controllers
+        ]
+        self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
+        self._diagnostics = Diagnostics(node, self._snapshots, rate)
+        self._cycles = 0
+        self._next_snapshot = 0.0
+
+    def run(self) -> None:
+        """Turn the loop until told to stop."""
+        context, hw, stamp = self._context, self._hw, self._stamp
+        statistics = context.statistics
+        self._ros.start()
+        quiet_collector()
+        while not context.stopping.is_set():
+            measured = self._controller.update()
+            began = self._controller.began
+            if measured:
+                self._cycles += 1
+                stamp.sec, stamp.nanosec = divmod(hw.time, 1_000_000_000)
+                self._publisher.publish(hw)
+                for face in self._joint_faces:
+                    face.publish(hw)
+            self._mode_face.publish(hw.time)
+            if began >= self._next_snapshot:
+                self._next_snapshot = began + SNAPSHOT_PERIOD
+                self._hand_over()
+            if measured:
+                statistics.cycle(began)
+            else:
+                statistics.idle()
+
+    def _hand_over(self) -> None:
+        """Tell the diagnostics and the statistics how we fare."""
+        interface, controller, hw = self._interface, self._controller, self._hw
+        mode, joints = controller.mode_controller, controller.joints
+        statistics = self._context.statistics
+        refused = [c for c in joints.controllers.values() if c.last_refusal]
+        snapshot = Snapshot(
+            silent=interface.silent,
+            behavior=interface.behavior,
+            behavior_reason=interface.behavior_reason,
+            proprioceptor_age=interface.proprioceptor_age,
+            motion_state_age=interface.motion_state_age,
+            messages_rejected=interface.rejected,
+            set_points_sent=interface.set_points_sent,
+            set_points_clamped=hw.clamped,
+            cycles=self._cycles,
+            control_mode=mode.current,
+            last_mode_refusal=mode.last_refusal,
+            modes_refused=mode.rejected,
+            joint_controllers=joints.active,
+            last_trajectory_refusal="; ".join(c.last_refusal for c in refused),
+            trajectories_refused=sum(c.rejected for c in joints.controllers.values()),
+        )
+        self._snapshots.write(snapshot)
+        statistics.rejected = (
+            snapshot.messages_rejected + snapshot.modes_refused + snapshot.trajectories_refused + self._ros.failures
+        )
+        if interface.silent:
+            statistics.state("starting", f"waiting for {interface.silent}")
+        else:
+            statistics.state("ready")
+
+    def close(self) -> None:
+        """End the threads; ROS last but one, the Bifrost node, which is not ours, last."""
+        self._ros.close()
+        self._interface.close()
