@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import msgspec
 import psutil
 import zmq
+from zmq.utils.monitor import recv_monitor_message
 
 from bifrost import directory as d
 from bifrost.errors import ConfigurationError
@@ -29,6 +30,7 @@ EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG
 @dataclass
 class _Member:
     routing_id: bytes
+    descriptor: int  # of its connection
     record: d.NodeRecord
     heard: float
 
@@ -40,8 +42,7 @@ class Daemon:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._gate = Gate(self._context, network)
         self._socket = listening_socket(self._context, zmq.ROUTER, network)
-        # A node that comes back under its routing id takes over from its dead connection.
-        self._socket.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
         try:
             self._socket.bind(network.computer.daemon)
         except zmq.ZMQError as error:
@@ -59,29 +60,45 @@ class Daemon:
         """Handle what comes within ``timeout`` [s]."""
         poller = zmq.Poller()
         poller.register(self._gate.socket, zmq.POLLIN)
+        poller.register(self._monitor, zmq.POLLIN)
         poller.register(self._socket, zmq.POLLIN)
         ready = dict(poller.poll(max(0, int(timeout * 1000))))
         if self._gate.socket in ready:
             self._gate.answer()
+        if self._monitor in ready:
+            self._receive_disconnections()
         if self._socket in ready:
             self._receive()
         self._drop_silent()
 
+    def _receive_disconnections(self) -> None:
+        """Drop the nodes whose connection has ended: most often they were killed.
+
+        One that lives registers again on its next heartbeat.
+        """
+        while self._monitor.poll(0):
+            descriptor = recv_monitor_message(self._monitor)["value"]
+            lost = [i for i, member in self._members.items() if member.descriptor == descriptor]
+            for incarnation in lost:
+                record = self._members[incarnation].record
+                _log.info("node %s (pid %d) went without a word", record.name, record.pid)
+                self._drop(incarnation)
+
     def _receive(self) -> None:
         for _ in range(1000):
             try:
-                frames = self._socket.recv_multipart(zmq.NOBLOCK)
+                frames = self._socket.recv_multipart(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 return
             if len(frames) != 2:
                 continue
             try:
-                message = d.decode_from_node(frames[1])
+                message = d.decode_from_node(frames[1].buffer)
             except (msgspec.DecodeError, RecursionError):
                 continue  # from a member, but of another version: unheard, it is dropped
-            self._handle(frames[0], message)
+            self._handle(frames[0].bytes, int(frames[1].get(zmq.SRCFD)), message)
 
-    def _handle(self, sender: bytes, message: d.FromNode) -> None:
+    def _handle(self, sender: bytes, descriptor: int, message: d.FromNode) -> None:
         now = time.monotonic()
         if isinstance(message, d.Heartbeat):
             member = self._members.get(message.incarnation)
@@ -89,14 +106,14 @@ class Daemon:
                 self._send(sender, d.Unknown(self._epoch))
                 return
             member.heard = now
-            member.routing_id = sender
+            member.routing_id, member.descriptor = sender, descriptor
             if (message.epoch, message.version) == (self._epoch, self._version):
                 self._send(sender, d.Alive(self._epoch, self._version))
             else:
                 self._send_table(sender)
         elif isinstance(message, d.Register):
             known = self._members.get(message.node.incarnation)
-            self._members[message.node.incarnation] = _Member(sender, message.node, now)
+            self._members[message.node.incarnation] = _Member(sender, descriptor, message.node, now)
             if known is None or known.record != message.node:
                 self._version += 1
                 self._broadcast(d.Update(self._epoch, self._version, message.node), but=sender)
@@ -154,6 +171,8 @@ class Daemon:
     def close(self) -> None:
         """Give back the port."""
         self._gate.close()
+        self._socket.disable_monitor()
+        self._monitor.close(0)
         self._socket.close()
         self._context.term()
 

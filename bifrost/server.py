@@ -95,6 +95,7 @@ class Server(Generic[M, R]):
     def _answer(self, frame: bytes) -> bytes | None:
         prefix = self._prefix
         rest = frame[len(prefix) :] if frame.startswith(prefix) else frame.partition(b"\0")[2]
+        request_id: int
         try:
             version, request_hash, reply_hash, request_id, computer, deadline, length = wire.REQUEST.unpack_from(rest)
         except StructError:
