@@ -1,8 +1,8 @@
 """The Valor ROS Controller as a service: puts its parts together and turns the loop.
 
-Three threads (``docs/valor_ros_controller.md`` holds them against figure 4.2): this one waits for Proprioceptor and runs
-the controllers and the publisher; the ROS thread runs callbacks; the behavior commander waits for the Motion Manager's
-replies.
+Three threads (``docs/valor_ros_controller.md`` holds them against figure 4.2): this one waits for Proprioceptor and
+runs the controllers and the publisher; the ROS thread runs callbacks; the behavior commander waits for the Motion
+Manager's replies.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class ValorRosController:
             robot_controllers=[],
         )
         self._publisher = Publisher(
-            node, robot, tree, self._stamp, rate, simulated=context.settings.profile != "hardware"
+            node, robot, tree, self._stamp, rate=rate, simulated=context.settings.profile != "hardware"
         )
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
         self._joint_faces = [

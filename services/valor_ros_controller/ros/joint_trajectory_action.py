@@ -51,10 +51,8 @@ class _TrajectoryGoal:
         self._handle = handle
 
     def finish(self, outcome: Outcome) -> None:
-        if outcome.canceled:
-            state = "canceled"
-        else:
-            state = "succeed" if outcome.code is ErrorCode.SUCCESSFUL else "abort"
+        ended = "succeed" if outcome.code is ErrorCode.SUCCESSFUL else "abort"
+        state = "canceled" if outcome.canceled else ended
         result = FollowJointTrajectory.Result(error_code=int(outcome.code), error_string=outcome.text)
         self._face.forget(self._handle)
         self._face.server.finish(self._handle, state, result)

@@ -55,7 +55,7 @@ class RosThread(threading.Thread):
         Raises:
             ConfigurationError: it was set to a value of another type.
         """
-        from rcl_interfaces.msg import ParameterDescriptor
+        from rcl_interfaces.msg import ParameterDescriptor  # type: ignore[import-untyped]
 
         descriptor = ParameterDescriptor(description=description, read_only=True)
         try:

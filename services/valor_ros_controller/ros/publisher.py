@@ -68,7 +68,7 @@ class Publisher:
     """Publishes a cycle's state. Used from the update thread alone."""
 
     def __init__(
-        self, node: Node, robot: RobotDescription, tree: KinematicTree, stamp: Time, rate: float, simulated: bool
+        self, node: Node, robot: RobotDescription, tree: KinematicTree, stamp: Time, *, rate: float, simulated: bool
     ) -> None:
         """Make publishers and messages.
 
