@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import bifrost
 from valor_common.errors import ValorError
@@ -15,8 +15,6 @@ from valor_common.topics import CLOCK, CONTROL_MODE, MOTION_STATE
 from valorctl import leftovers
 from valorctl.health import SILENCE, Health, Listener, judge
 from valorctl.supervision import ProcessInfo, Supervisor
-
-M = TypeVar("M", bound=bifrost.Message)
 
 
 @dataclass(frozen=True)
@@ -92,26 +90,56 @@ def look(instance: Instance) -> Status:
     infos = supervisor.processes()
     # The table's order, the order of start.
     names = [name for name in BY_NAME if name in infos]
+    running = {name for name, info in infos.items() if info.pid}
     with Listener(instance, names) as listener:
-        state = listener.node.subscriber(MOTION_STATE.name, MotionState)
-        mode = listener.node.subscriber(CONTROL_MODE.name, ControlModeReport)
-        clock = listener.node.subscriber(CLOCK.name, ClockStatus)
+        reports = _Reports(listener.node)
         deadline = time.monotonic() + SILENCE
-        while not _all_heard(listener, infos) and time.monotonic() < deadline:
-            listener.listen(min(0.1, max(0.0, deadline - time.monotonic())))
-        said = _newest(state), _newest(mode), _newest(clock)
+        while time.monotonic() < deadline:
+            reports.take()
+            if _all_heard(listener, infos) and reports.complete(running):
+                break
+            listener.listen(0.05)
         infos = supervisor.processes()
-        now = time.monotonic()
         restarts = supervisor.restarts()
+        now = time.monotonic()
         services = [judge(infos[name], listener.words.get(name), now, restarts.get(name, 0)) for name in names]
     return Status(
         instance=instance.name,
         settings=instance.settings(),
-        behavior=said[0].behavior if said[0] else None,
-        control_mode=said[1].current_control_mode if said[1] else None,
-        clock=said[2],
+        behavior=reports.motion_state.behavior if reports.motion_state else None,
+        control_mode=reports.control_mode.current_control_mode if reports.control_mode else None,
+        clock=reports.clock,
         services=services,
     )
+
+
+class _Reports:
+    """The newest of what is reported besides the processes' own state."""
+
+    def __init__(self, node: bifrost.Node) -> None:
+        self._states = node.subscriber(MOTION_STATE.name, MotionState)
+        self._modes = node.subscriber(CONTROL_MODE.name, ControlModeReport)
+        self._clocks = node.subscriber(CLOCK.name, ClockStatus)
+        self.motion_state: MotionState | None = None
+        self.control_mode: ControlModeReport | None = None
+        self.clock: ClockStatus | None = None
+
+    def take(self) -> None:
+        """Take in what has come."""
+        if state := self._states.latest():
+            self.motion_state = state.message
+        if mode := self._modes.latest():
+            self.control_mode = mode.message
+        if clock := self._clocks.latest():
+            self.clock = clock.message
+
+    def complete(self, running: set[str]) -> bool:
+        """Whether all that the running processes report has come."""
+        return (
+            (self.motion_state is not None or MOTION_STATE.publisher not in running)
+            and (self.control_mode is not None or CONTROL_MODE.publisher not in running)
+            and (self.clock is not None or CLOCK.publisher not in running)
+        )
 
 
 def _all_heard(listener: Listener, infos: dict[str, ProcessInfo]) -> bool:
@@ -119,8 +147,3 @@ def _all_heard(listener: Listener, infos: dict[str, ProcessInfo]) -> bool:
     return all(
         name in listener.words and listener.words[name].pid == info.pid for name, info in infos.items() if info.pid
     )
-
-
-def _newest(subscriber: bifrost.Subscriber[M]) -> M | None:
-    received = subscriber.latest()
-    return None if received is None else received.message

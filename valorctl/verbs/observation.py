@@ -41,7 +41,7 @@ def _show(status: Status) -> None:
     time = clock.mode if clock else settings.clock
     if clock:
         time += f", {clock.real_time_factor:.2f} × real time, slip {clock.slip:.2f} s"
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     console.print(
         f"[bold]{status.instance}[/]: {settings.robot.name}, profile {settings.profile}, {time}\n"
         f"control mode [bold]{status.control_mode or '?'}[/], behavior [bold]{status.behavior or '?'}[/]"

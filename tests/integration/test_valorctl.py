@@ -1,0 +1,309 @@
+"""valorctl with a real supervisord: up, watch, down, and that nothing stays behind whatever happens in between."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+import pytest
+
+import bifrost
+from tests.conftest import ROBOTS, wait_until
+
+VALORCTL = Path(sys.executable).with_name("valorctl")
+TIMEOUT = 90.0  # of one call [s]
+BIFROST_ALONE = "description: the name service\nprocesses: [bifrostd]\n"
+MOTION_SYSTEM = "description: no ROS\nprocesses: [bifrostd, comms_manager, motion_manager]\n"
+
+
+@dataclass
+class Cli:
+    """Calls valorctl as a user would: from another folder, with nothing of ours in the environment but the home."""
+
+    home: Path
+    started: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        environment = {k: v for k, v in os.environ.items() if not k.startswith(("VALOR_", "BIFROST_", "ROS_"))}
+        process = subprocess.Popen(
+            [VALORCTL, *arguments],
+            env=environment | {"VALOR_HOME": str(self.home)},
+            cwd="/",
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.started.append(process)
+        return process
+
+    def __call__(self, *arguments: str, status: int = 0) -> str:
+        """Its standard output, or when ``status`` is not 0 its standard error."""
+        process = self.start(*arguments)
+        out, err = process.communicate(timeout=TIMEOUT)
+        assert process.returncode == status, f"{arguments} ended with {process.returncode}: {out}{err}"
+        assert "Traceback" not in err
+        if status == 0:
+            return out
+        assert status == 2 or err.startswith("valorctl: "), err
+        return err
+
+    def status(self, instance: str = "default") -> dict[str, dict[str, object]]:
+        """``status --json``, with the services by name."""
+        content = json.loads(self("status", "--json", "--instance", instance))
+        return content | {"services": {service["name"]: service for service in content["services"]}}
+
+    def pid(self, service: str, instance: str = "default") -> int:
+        pid = self.status(instance)["services"][service]["pid"]
+        assert isinstance(pid, int)
+        return pid
+
+    def supervisord(self, instance: str = "default") -> int:
+        return int((self.home / instance / "supervisord.pid").read_text())
+
+    def profile(self, text: str) -> str:
+        file = self.home / f"profile-{len(list(self.home.glob('profile-*')))}.yaml"
+        file.write_text(text)
+        return str(file)
+
+    def processes(self) -> list[psutil.Process]:
+        """Every process whose environment names this home, but for valorctl itself."""
+        found = []
+        for process in psutil.process_iter():
+            try:
+                if process.environ().get("VALOR_HOME") == str(self.home) and process.status() != "zombie":
+                    found.append(process)
+            except psutil.Error:
+                continue
+        ours = {process.pid for process in self.started if process.poll() is None}
+        return [process for process in found if process.pid not in ours]
+
+    def assert_nothing_left(self, instance: str = "default") -> None:
+        """Processes, sockets, files: only logs and bags stay."""
+        assert [" ".join(p.cmdline()) for p in self.processes()] == []
+        left = {path.name for path in (self.home / instance).iterdir()} if (self.home / instance).exists() else set()
+        assert left <= {"logs", "bags"}
+
+
+@pytest.fixture
+def ctl(home: Path) -> Iterator[Cli]:
+    cli = Cli(home)
+    try:
+        yield cli
+    finally:
+        for process in cli.started:
+            process.kill()
+            process.communicate()
+        for process in cli.processes():
+            process.kill()
+
+
+def accepts(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((host, port)) == 0
+
+
+def shared_memory(processes: list[psutil.Process]) -> set[str]:
+    lines = [line for p in processes for line in Path(f"/proc/{p.pid}/maps").read_text().splitlines()]
+    return {line[line.index("/dev/shm/") :] for line in lines if "/dev/shm/" in line}
+
+
+def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
+    told = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--actuators", "ideal", "--seed", "3")
+    for name in ("bifrostd", "comms_manager", "motion_manager"):
+        assert f"{name} ready" in told
+    seen = ctl.status()
+    assert {name: service["state"] for name, service in seen["services"].items()} == {
+        "bifrostd": "ready",
+        "comms_manager": "ready",
+        "motion_manager": "ready",
+    }
+    assert seen["robot"] == "escher"
+    assert seen["behavior"]
+    assert seen["clock"]["mode"] == "lockstep"
+    assert seen["clock"]["real_time_factor"] > 0
+    for service in seen["services"].values():
+        assert service["restarts"] == 0
+        assert service["memory_mib"] > 10
+        assert service["cpu_percent"] >= 0
+    assert oct((ctl.home / "default" / "keys").stat().st_mode & 0o777) == "0o700"
+    assert "comms_manager" in ctl("status")
+    assert "pushed" in ctl("push", "-1.5", "0", "-.5")
+    assert "finite" in ctl("push", "nan", "0", "0", status=1)
+    assert "bifrostd" in ctl("logs", "-n", "3")
+    assert ctl("logs", "bifrostd", "-n", "1").count("\n") == 1
+    assert "up already" in ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), status=1)
+
+    network = json.loads((ctl.home / "default" / "network.json").read_text())["computers"][0]
+    assert accepts(network["host"], network["port"])
+    held = shared_memory(ctl.processes())
+    ctl("down")
+    ctl.assert_nothing_left()
+    assert not accepts(network["host"], network["port"])
+    assert [file for file in held if os.path.exists(file)] == []
+    assert "not up" in ctl("down")
+    assert "not up" in ctl("status", status=1)
+    assert "bifrostd" in ctl("logs")
+
+
+def test_two_instances_do_not_meet(ctl: Cli) -> None:
+    profile = ctl.profile(BIFROST_ALONE)
+    ctl("up", "--profile", profile, "--instance", "one")
+    ctl("--instance", "two", "up", "--profile", profile)
+    environments = {}
+    for name in ("one", "two"):
+        lines = ctl("env", "--instance", name).splitlines()
+        environments[name] = dict(line.removeprefix("export ").split("=", 1) for line in lines)
+    for variable in ("VALOR_INSTANCE", "ROS_DOMAIN_ID", "BIFROST_NETWORK", "BIFROST_KEYS"):
+        assert environments["one"][variable] != environments["two"][variable]
+
+    networks = [
+        bifrost.Network.load(ctl.home / name / "network.json", ctl.home / name / "keys") for name in ("one", "two")
+    ]
+    assert networks[0].server.public != networks[1].server.public
+    with bifrost.Node("first", network=networks[0]) as first, bifrost.Node("second", network=networks[1]) as second:
+        assert wait_until(lambda: "first" in first.graph().nodes, 10.0, "the first node is registered")
+        assert wait_until(lambda: "second" in second.graph().nodes, 10.0, "the second node is registered")
+        assert first.graph().nodes == ["first"]
+        assert second.graph().nodes == ["second"]
+
+    ctl("down", "--instance", "one")
+    ctl.assert_nothing_left("one") if not ctl.processes() else None
+    assert ctl.status("two")["services"]["bifrostd"]["state"] == "ready"
+    ctl("down", "--instance", "two")
+    ctl.assert_nothing_left("one")
+    ctl.assert_nothing_left("two")
+
+
+def test_a_killed_process_comes_back_and_is_counted(ctl: Cli) -> None:
+    ctl("up", "--profile", ctl.profile(MOTION_SYSTEM))
+    before = ctl.pid("motion_manager")
+    os.kill(before, signal.SIGKILL)
+
+    def back() -> bool:
+        service = ctl.status()["services"]["motion_manager"]
+        return service["state"] == "ready" and service["pid"] != before
+
+    wait_until(back, 30.0, "motion_manager is ready again")
+    services = ctl.status()["services"]
+    assert {name: service["restarts"] for name, service in services.items()} == {
+        "bifrostd": 0,
+        "comms_manager": 0,
+        "motion_manager": 1,
+    }
+    after = services["motion_manager"]["pid"]
+    assert str(after) not in ctl("restart", "comms_manager")
+    assert ctl.pid("motion_manager") == after
+    told = ctl("restart", "motion_manager")
+    assert ctl.pid("motion_manager") != after
+    assert str(ctl.pid("motion_manager")) in told
+    assert ctl.status()["services"]["motion_manager"]["restarts"] == 1
+    assert "comms_manager" in ctl("restart", "commz", status=1)
+    ctl("down")
+    ctl.assert_nothing_left()
+
+
+def test_what_runs_but_is_silent_is_not_ready(ctl: Cli) -> None:
+    ctl("up", "--profile", ctl.profile(MOTION_SYSTEM))
+    os.kill(ctl.pid("motion_manager"), signal.SIGSTOP)
+    wait_until(lambda: ctl.status()["services"]["motion_manager"]["state"] == "failed", 30.0, "its silence is seen")
+    service = ctl.status()["services"]["motion_manager"]
+    assert "no word" in service["detail"] or "silent" in service["detail"]
+    ctl("down")  # a stopped process does not hear SIGTERM
+    ctl.assert_nothing_left()
+
+
+def test_down_clears_up_behind_a_killed_supervisor(ctl: Cli) -> None:
+    profile = ctl.profile(BIFROST_ALONE)
+    ctl("up", "--profile", profile)
+    os.kill(ctl.supervisord(), signal.SIGKILL)
+    assert "valorctl down" in ctl("status", status=1)
+    assert ctl.processes()
+    ctl("down")
+    ctl.assert_nothing_left()
+
+    ctl("up", "--profile", profile)
+    before = ctl.pid("bifrostd")
+    os.kill(ctl.supervisord(), signal.SIGKILL)
+    assert "crashed" in ctl("up", "--profile", profile)
+    assert ctl.pid("bifrostd") != before
+    ctl("down")
+    ctl.assert_nothing_left()
+
+
+def test_a_shell_that_joined_outlives_down(ctl: Cli) -> None:
+    ctl("up", "--profile", ctl.profile(BIFROST_ALONE))
+    script = f"{ctl('env')}\nexec sleep 60"
+    shell = subprocess.Popen(["/bin/sh", "-c", script])
+    try:
+        wait_until(lambda: any(p.pid == shell.pid for p in ctl.processes()), 10.0, "the shell has joined")
+        ctl("down")
+        assert shell.poll() is None
+    finally:
+        shell.kill()
+        shell.wait()
+    ctl.assert_nothing_left()
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_up_leaves_nothing(ctl: Cli, signum: signal.Signals) -> None:
+    process = ctl.start("up", "--profile", ctl.profile(MOTION_SYSTEM))
+    log = ctl.home / "default" / "logs" / "supervisord.log"
+    wait_until(lambda: log.exists() and "spawned" in log.read_text(), 30.0, "the first process is spawned", 0.002)
+    process.send_signal(signum)
+    out, err = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 128 + signum, out + err
+    assert err == f"valorctl: interrupted by {signum.name}\n"
+    ctl.assert_nothing_left()
+
+
+def broken_model(ctl: Cli) -> str:
+    """A robot whose model cannot be read."""
+    shutil.copytree(ROBOTS / "escher", ctl.home / "robot")
+    (ctl.home / "robot" / "model.xml").write_text("<mujoco><body/></mujoco>")
+    return str(ctl.home / "robot")
+
+
+def broken_table(ctl: Cli) -> str:
+    """A robot whose table lacks something."""
+    folder = Path(broken_model(ctl))
+    (folder / "robot.yaml").write_text("name: lame\n")
+    return str(folder)
+
+
+@pytest.mark.parametrize(
+    ("robot", "words"),
+    [(broken_model, ["did not start", "_manager", "model.xml"]), (broken_table, ["robot.yaml", "model"])],
+)
+def test_a_failed_up_says_why_and_leaves_nothing(ctl: Cli, robot: Callable[[Cli], str], words: list[str]) -> None:
+    told = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--robot", robot(ctl), status=1)
+    for word in words:
+        assert word in told
+    ctl.assert_nothing_left()
+
+
+def test_what_is_foreseeable_takes_one_line(ctl: Cli) -> None:
+    for arguments in (
+        ["status"],
+        ["mode", "stand"],
+        ["arm", "left", "hang"],
+        ["push", "1", "2", "3"],
+        ["restart", "bifrostd"],
+        ["logs"],
+        ["logs", "nobody"],
+        ["env"],
+        ["up", "--profile", "moon"],
+        ["up", "--robot", "/nowhere"],
+        ["up", "--instance", "No Name"],
+    ):
+        assert ctl(*arguments, status=1).count("\n") == 1
+    ctl("push", "1", "2", status=2)
