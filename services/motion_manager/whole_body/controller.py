@@ -15,7 +15,7 @@ from motion_manager.whole_body import rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.contact import FootContacts
 from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, ModelJoints
+from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints
 from motion_manager.whole_body.elimination import NotSolvable
 from motion_manager.whole_body.limits import JointLimits
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
@@ -62,8 +62,15 @@ class WholeBodyController:
             table.dcm_integral_limit,
             table.dcm_integral_hold,
         )
-        self._reference = StandReference(model, table, omega, self._upper_body)
+        self._reference = StandReference(model, omega, self._upper_body)
         self._objective = Objective(table, joints)
+        self._damping = np.zeros(ROWS)  # of the operational velocities
+        self._damping[MOMENTUM] = -table.angular_momentum_gain
+        self._damping[CHEST] = self._damping[PELVIS] = -table.orientation_damping
+        self._damping[SOLES] = -table.foot_damping
+        self._moves_with_pelvis = np.zeros((ROWS, 3))  # what the pelvis' linear velocity adds to them
+        for first in (0, 12, 18):
+            self._moves_with_pelvis[first : first + 3] = np.eye(3)
         self._contacts = FootContacts(robot, model.mj.nv)
         self._limits = JointLimits(robot, table, joints.places)
         self._bounds = Bounds(
@@ -73,9 +80,8 @@ class WholeBodyController:
         self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
         self._legs = joints.group("left_leg", "right_leg")
         self._nominal: FloatArray = robot.nominal_posture[joints.places]
-        control = [robot.tables.joints[robot.joints[place]].control for place in joints.places]
-        self._integrated = np.array([mode != "force" for mode in control])
-        self._integrated_places = joints.places[self._integrated]
+        self._integrated = np.array([robot.tables.joints[name].control != "force" for name in joints.names])
+        self._integrated_places = np.arange(self._count)[joints.places][self._integrated]
         self._catch_up = CATCH_UP * robot.velocity_limit[joints.places]
         self._position = np.zeros(joints.count)  # set-points, of integrated joints
         self._velocity = np.zeros(joints.count)
@@ -91,7 +97,7 @@ class WholeBodyController:
 
     def reset(self, state: RobotState) -> None:
         """Begin to stand from ``state`` without a jump: references start there and go to nominal."""
-        position = state.joint_position[self._joints.places]
+        position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self._law.reset()
         self._reference.reset(state)
@@ -113,11 +119,10 @@ class WholeBodyController:
         position, velocity = dynamics.joint_position.copy(), dynamics.joint_velocity.copy()
         np.copyto(position, self._position, where=self._integrated)
         np.copyto(velocity, self._velocity, where=self._integrated)
-        wanted = reference.position[places]
+        wanted = reference.position[places].copy()
         self._upper_body.update(wanted)
-        self._reference.update(state, dt)
-        self._momentum_tasks(state, dt)
-        self._orientation_tasks(state)
+        self._reference.update(state)
+        self._operational_tasks(state, dt)
         self._posture_tasks(position, velocity, wanted, reference)
         n = self._joints.count
         self._bounds.lower[n:], self._bounds.upper[n:] = self._limits.acceleration(position, velocity)
@@ -129,37 +134,24 @@ class WholeBodyController:
             return self._last_feasible(state, str(error))
         return self._command(state, solution, dt)
 
-    def _momentum_tasks(self, state: RobotState, dt: float) -> None:
-        reference, wanted = self._reference, self._objective.acceleration
+    def _operational_tasks(self, state: RobotState, dt: float) -> None:
+        """The CoM by the DCM law; orientations k_p·e − k_d·ω; momentum and feet damped."""
+        reference, dynamics, wanted = self._reference, state.dynamics, self._objective.acceleration
+        velocity = self._moves_with_pelvis @ state.pelvis_linear_velocity_in_odom
+        velocity += dynamics.task_velocity
+        np.multiply(velocity, self._damping, out=wanted)
         point = self._law.repellent_point(state.dcm_in_odom, reference.dcm, reference.vrp, dt)
         wanted[COM] = self._law.acceleration(state.com_in_odom, point)
-        dynamics = state.dynamics
-        momentum = dynamics.task_velocity[MOMENTUM]
-        wanted[MOMENTUM] = momentum * -self._table.angular_momentum_gain
-        np.multiply(dynamics.task_velocity[SOLES], -self._table.foot_damping, out=wanted[SOLES])
-        left = wanted[12:15]
-        left -= state.pelvis_linear_velocity_in_odom * self._table.foot_damping
-        right = wanted[18:21]
-        right -= state.pelvis_linear_velocity_in_odom * self._table.foot_damping
-
-    def _orientation_tasks(self, state: RobotState) -> None:
-        table, wanted, dynamics = self._table, self._objective.acceleration, state.dynamics
-        stiffness, damping = table.orientation_stiffness, table.orientation_damping
-        for rows, desired, actual in (
-            (CHEST, self._reference.chest, dynamics.chest_rotation),
-            (PELVIS, self._reference.pelvis, dynamics.rotation),
-        ):
-            feedback = rotation.error(desired, actual)
-            feedback *= stiffness
-            feedback -= dynamics.task_velocity[rows] * damping
-            wanted[rows] = feedback
+        stiffness = self._table.orientation_stiffness
+        wanted[CHEST] += stiffness * rotation.error(reference.chest, dynamics.chest_rotation)
+        wanted[PELVIS] += stiffness * rotation.error(reference.pelvis, dynamics.rotation)
 
     def _posture_tasks(
         self, position: FloatArray, velocity: FloatArray, wanted: FloatArray, reference: UpperBodyReference
     ) -> None:
         """Joint accelerations q̈_ref + k_d·(q̇_ref + clip(k_p/k_d·(q_ref − q)) − q̇)."""
         table, places, legs = self._table, self._joints.places, self._legs
-        rate, acceleration = reference.velocity[places], reference.acceleration[places]
+        rate, acceleration = reference.velocity[places].copy(), reference.acceleration[places].copy()
         s = self._reference.legs_blend
         wanted[legs] = self._leg_start + s * (self._nominal[legs] - self._leg_start)
         rate[legs] = 0.0

@@ -55,7 +55,8 @@ class DcmLaw:
         x, y, z = error.tolist()
         if x * x + y * y + z * z < self._hold * self._hold:
             self.integral += (self._integral_gain * dt) * error
-            np.clip(self.integral, -self._integral_limit, self._integral_limit, out=self.integral)
+            np.minimum(self.integral, self._integral_limit, out=self.integral)
+            np.maximum(self.integral, -self._integral_limit, out=self.integral)
         error *= self._proportional
         error += vrp_reference
         error += self.integral

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.rotation import Quaternion
 from motion_manager.whole_body.state import FloatArray
-from valor_common.model import Model
+from valor_common.model import Indices, Model
 
 # Rows of ``Dynamics.jacobian`` and ``Dynamics.drift``.
 COM = slice(0, 3)  # c̈
@@ -38,7 +38,8 @@ class ModelJoints:
     """The joints that the reduced model has, in the order of its degrees of freedom.
 
     Attributes:
-        places: (nj,) of each in every joint vector of the robot.
+        places: of them in every joint vector of the robot; a slice, so that indexing costs nothing, if they are
+            contiguous there.
     """
 
     def __init__(self, model: Model) -> None:
@@ -46,13 +47,21 @@ class ModelJoints:
         of_dof = np.zeros(model.mj.nv, dtype=np.intp)
         of_dof[model.dof] = np.arange(len(model.robot.joints), dtype=np.intp)[model.joint_indices]
         self.count = count
-        self.places = of_dof[6:].copy()
+        self._indices = of_dof[6:].copy()
+        first, last = int(self._indices[0]), int(self._indices[-1]) + 1
+        contiguous = np.array_equal(self._indices, np.arange(first, last))
+        self.places: Indices = slice(first, last) if contiguous else self._indices
         self._robot = model.robot
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the joints."""
+        return tuple(self._robot.joints[place] for place in self._indices)
 
     def group(self, *groups: str) -> npt.NDArray[np.intp]:
         """Which of the model's joints belong to the groups."""
         members = np.concatenate([self._robot.group_indices(group) for group in groups])
-        return np.flatnonzero(np.isin(self.places, members))
+        return np.flatnonzero(np.isin(self._indices, members))
 
 
 class Dynamics:

@@ -97,12 +97,11 @@ class Elimination:
         right[:, :-1] = effect
         right[:, -1] = residual
         scaled, _ = dpotrs(compliance, right, lower=1, overwrite_b=1)  # S⁻¹·[B, r]
-        quadratic = effect.T @ scaled
-        hessian = quadratic[:, :-1]
-        diagonal = np.einsum("ii->i", hessian)
+        hessian = effect.T @ scaled[:, :-1]
+        diagonal = hessian.ravel()[:: hessian.shape[0] + 1]  # a view
         diagonal[:count] += FORCE_REGULARIZATION
         diagonal[count:] += VALUE_REGULARIZATION
-        return Reduced(np.ascontiguousarray(hessian), -quadratic[:, -1], solved, scaled)
+        return Reduced(hessian, scaled[:, -1] @ -effect, solved, scaled)
 
 
 class Reduced(NamedTuple):

@@ -12,6 +12,9 @@ Never the simulator's truth. Three parts:
 
 from __future__ import annotations
 
+from math import atan2
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
@@ -24,6 +27,8 @@ from motion_manager.whole_body.state import FloatArray, RobotState
 from valor_common.messages import Proprioceptor
 from valor_common.model import Model
 from valor_common.robot import Estimator, RobotDescription
+
+Vector = tuple[float, float, float]
 
 
 class Attitude:
@@ -162,11 +167,11 @@ class FloatingBaseEstimator:
         dynamics, places = self.dynamics, self._places
         dynamics.update(self._attitude.orientation, angular_velocity, position[places], self._joint_velocity[places])
 
-        forces, cops = self._foot_forces(proprioceptor)
+        feet = self._foot_forces(proprioceptor)
         self._filter.predict(
             dynamics.rotation @ (self._imu_rotation @ proprioceptor.imu_linear_acceleration) - self._gravity
         )
-        self._correct_by_legs(forces, cops, angular_velocity, velocity)
+        self._correct_by_legs(feet, angular_velocity, velocity)
         base, base_velocity = self._filter.state[0].copy(), self._filter.state[1].copy()
         com = base + dynamics.com
         com_velocity = base_velocity + dynamics.task_velocity[COM]
@@ -184,8 +189,8 @@ class FloatingBaseEstimator:
             com_velocity_in_odom=com_velocity,
             dcm_in_odom=com + com_velocity * self._inverse_omega,
             contacts=np.array(self._contact, dtype=np.uint8),
-            foot_forces=np.array(forces),
-            cop_in_odom=self._cop(base, forces, cops),
+            foot_forces=np.array((feet[0].force, feet[1].force)),
+            cop_in_odom=self._cop(base, feet),
             sole_positions_in_odom=dynamics.sole_position + base,
             sole_rotations_in_odom=dynamics.sole_rotation.copy(),
             dynamics=dynamics,
@@ -205,67 +210,85 @@ class FloatingBaseEstimator:
         self._contact = [False, False]
         self._started = True
 
-    def _foot_forces(self, proprioceptor: Proprioceptor) -> tuple[list[float], list[tuple[float, float]]]:
-        """Vertical force of each foot [N], and its centre of pressure in the sole's axes [m]."""
-        forces, cops = [], []
-        for rotation_in_odom, wrench in zip(
-            self.dynamics.sole_rotation, (proprioceptor.left_foot_wrench, proprioceptor.right_foot_wrench), strict=True
-        ):
-            forces.append(float(rotation_in_odom[2] @ wrench[:3]))
-            _, _, fz, tx, ty, _ = wrench.tolist()
-            cops.append((-ty / fz, tx / fz) if fz > self._contact_off else (0.0, 0.0))
-        return forces, cops
+    def _foot_forces(self, proprioceptor: Proprioceptor) -> list[_Foot]:
+        """What each foot feels, as floats: there are too few numbers for NumPy."""
+        soles = zip(
+            self.dynamics.sole_position.tolist(),
+            self.dynamics.sole_rotation.tolist(),
+            (proprioceptor.left_foot_wrench.tolist(), proprioceptor.right_foot_wrench.tolist()),
+            strict=True,
+        )
+        feet = []
+        for (px, py, _), (row_x, row_y, row_z), (fx, fy, fz, tx, ty, _) in soles:
+            vertical = row_z[0] * fx + row_z[1] * fy + row_z[2] * fz
+            x, y = (-ty / fz, tx / fz) if fz > self._contact_off else (0.0, 0.0)
+            cop = (row_x[0] * x + row_x[1] * y, row_y[0] * x + row_y[1] * y, row_z[0] * x + row_z[1] * y)
+            feet.append(_Foot(vertical, cop, (px + cop[0], py + cop[1]), atan2(row_y[0], row_x[0])))
+        return feet
 
-    def _correct_by_legs(
-        self, forces: list[float], cops: list[tuple[float, float]], angular_velocity: FloatArray, velocity: FloatArray
-    ) -> None:
-        dynamics, soles = self.dynamics, self.dynamics.sole_position
-        predicted = self._filter.state[0]
-        weights = [0.0, 0.0]
-        for i in range(2):
-            if forces[i] < self._contact_off:
-                self._contact[i] = False
-                continue
-            if not self._contact[i]:
-                if forces[i] < self._contact_on:
-                    continue
-                self._contact[i] = True
-                self._anchor[i] = predicted + soles[i]
-                self._anchor_yaw[i] = rotation.yaw(dynamics.sole_rotation[i])
-            weights[i] = forces[i] - self._contact_off
+    def _correct_by_legs(self, feet: list[_Foot], angular_velocity: FloatArray, velocity: FloatArray) -> None:
+        weights = [self._weight(i, foot) for i, foot in enumerate(feet)]
         total = weights[0] + weights[1]
         if total <= 0.0:
             self._filter.hang()
             return
         left, right = weights[0] / total, weights[1] / total
-        self._raw_velocity[3:6] = angular_velocity
-        self._raw_velocity[6:] = velocity[self._places]
-        sole_velocity = (dynamics.jacobian[SOLES] @ self._raw_velocity).reshape(2, 6)
-        standing = self._anchor - soles
-        measured = np.empty((2, 3))
-        measured[0] = left * standing[0] + right * standing[1]
-        measured[1] = -left * self._velocity_at_cop(0, sole_velocity[0], cops[0])
-        measured[1] -= right * self._velocity_at_cop(1, sole_velocity[1], cops[1])
+        raw, dynamics = self._raw_velocity, self.dynamics
+        raw[3:6] = angular_velocity
+        raw[6:] = velocity[self._places]
+        v = (dynamics.jacobian[SOLES] @ raw).tolist()
+        lx, ly, lz = _velocity_at(v[0:3], v[3:6], feet[0].cop)
+        rx, ry, rz = _velocity_at(v[6:9], v[9:12], feet[1].cop)
+        standing = self._anchor - dynamics.sole_position  # the pelvis, as each foot says
+        measured = np.array(
+            (
+                (0.0, 0.0, 0.0),
+                (-left * lx - right * rx, -left * ly - right * ry, -left * lz - right * rz),
+            )
+        )
+        np.dot((left, right), standing, measured[0])
         self._filter.correct(measured)
-        self._anchor += (self._filter.state[0] - standing) * self._anchor_gain  # slip wears off
+        standing -= self._filter.state[0]
+        standing *= self._anchor_gain
+        self._anchor -= standing  # slip wears off
         if self._contact[0] and self._contact[1]:
-            turned = [self._anchor_yaw[i] - rotation.yaw(dynamics.sole_rotation[i]) for i in range(2)]
-            self._attitude.turn_heading(self._heading_gain * (left * turned[0] + right * turned[1]))
+            turned = left * (self._anchor_yaw[0] - feet[0].yaw) + right * (self._anchor_yaw[1] - feet[1].yaw)
+            self._attitude.turn_heading(self._heading_gain * turned)
 
-    def _velocity_at_cop(self, foot: int, sole_velocity: FloatArray, cop: tuple[float, float]) -> FloatArray:
-        """(3,) of the point of the foot at its centre of pressure, relative to the pelvis' velocity [m/s]."""
-        frame = self.dynamics.sole_rotation[foot]
-        vx, vy, vz, wx, wy, wz = sole_velocity.tolist()
-        x, y, z = (frame[:, 0] * cop[0] + frame[:, 1] * cop[1]).tolist()
-        return np.array((vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x))
+    def _weight(self, i: int, foot: _Foot) -> float:
+        """How much foot ``i`` says about the pelvis [N]; 0 in the air. Its anchor is set when it touches down."""
+        if foot.force < self._contact_off:
+            self._contact[i] = False
+            return 0.0
+        if not self._contact[i]:
+            if foot.force < self._contact_on:
+                return 0.0
+            self._contact[i] = True
+            self._anchor[i] = self._filter.state[0] + self.dynamics.sole_position[i]
+            self._anchor_yaw[i] = foot.yaw
+        return foot.force - self._contact_off
 
-    def _cop(self, base: FloatArray, forces: list[float], cops: list[tuple[float, float]]) -> FloatArray:
+    def _cop(self, base: FloatArray, feet: list[_Foot]) -> FloatArray:
         """(2,) centre of pressure of both feet in odom [m]; NaN without contact."""
-        cop, total = np.zeros(2), 0.0
-        for i in range(2):
-            if self._contact[i]:
-                frame = self.dynamics.sole_rotation[i]
-                place = self.dynamics.sole_position[i] + frame[:, 0] * cops[i][0] + frame[:, 1] * cops[i][1]
-                cop += forces[i] * (base[:2] + place[:2])
-                total += forces[i]
-        return cop / total if total > 0.0 else np.full(2, np.nan)
+        left, right = (foot.force if contact else 0.0 for foot, contact in zip(feet, self._contact, strict=True))
+        total = left + right
+        if total <= 0.0:
+            return np.full(2, np.nan)
+        left, right = left / total, right / total
+        (lx, ly), (rx, ry) = feet[0].place, feet[1].place
+        return np.array((base[0] + left * lx + right * rx, base[1] + left * ly + right * ry))
+
+
+class _Foot(NamedTuple):
+    """A foot in one period, in odom's axes."""
+
+    force: float  # vertical [N]
+    cop: Vector  # centre of pressure from the sole's origin [m]
+    place: tuple[float, float]  # of the centre of pressure, from the pelvis [m]
+    yaw: float  # of the sole [rad]
+
+
+def _velocity_at(linear: list[float], angular: list[float], place: Vector) -> Vector:
+    """v + ω×r."""
+    (vx, vy, vz), (wx, wy, wz), (x, y, z) = linear, angular, place
+    return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from motion_manager.whole_body.state import FloatArray
+from valor_common.model import Indices
 from valor_common.robot import RobotDescription, WholeBody
 
 
@@ -23,7 +23,7 @@ class JointLimits:
         effort: (nj,) limits [N·m].
     """
 
-    def __init__(self, robot: RobotDescription, table: WholeBody, places: npt.NDArray[np.intp]) -> None:
+    def __init__(self, robot: RobotDescription, table: WholeBody, places: Indices) -> None:
         self.effort: FloatArray = robot.effort_limit[places]
         self._approach = table.limit_approach
         self._response = table.limit_response
@@ -35,7 +35,8 @@ class JointLimits:
         """(nj,) lower and upper bounds of joint accelerations [rad/s²] at ``position`` and ``velocity``."""
         bounds = self._ends - position
         bounds *= self._approach
-        np.clip(bounds, self._minus_velocity, self._velocity, out=bounds)
+        np.minimum(bounds, self._velocity, out=bounds)
+        np.maximum(bounds, self._minus_velocity, out=bounds)
         bounds -= velocity
         bounds *= self._response
         return bounds[0], bounds[1]

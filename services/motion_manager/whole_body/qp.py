@@ -73,6 +73,7 @@ class ContactForceQp:
         offset = bias[6:] + self._damping * dynamics.joint_velocity
         elimination = Elimination(objective.hessian, objective.gradient)
         values, joined = self._values, self._none
+        lower, upper = bounds.lower - TOLERANCE, bounds.upper + TOLERANCE
         for _ in range(ROUNDS):
             limit = self._limit(mass, offset, forces, joined) if joined.size else None
             reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
@@ -81,13 +82,12 @@ class ContactForceQp:
             torque = mass[6:] @ acceleration + offset - rho @ forces[:, 6:]
             values[:n] = torque
             values[n:] = acceleration[6:]
-            broken = (values > bounds.upper + TOLERANCE) | (values < bounds.lower - TOLERANCE)
-            broken[joined] = False
-            if not broken.any():
-                if not np.isfinite(values).all():
-                    raise NotSolvable("the solution is not finite")
+            if (values <= upper).all() and (values >= lower).all():
                 status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
                 return Solution(acceleration, rho, torque, status, joined)
+            broken = ~((values <= upper) & (values >= lower))
+            if broken[joined].any() or not np.isfinite(values).all():
+                raise NotSolvable("the solution is not finite")
             joined = np.concatenate((joined, np.flatnonzero(broken)))
         raise NotSolvable(f"limits of joints kept breaking after {ROUNDS} rounds")
 

@@ -12,7 +12,6 @@ from motion_manager.whole_body import rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.state import FloatArray, RobotState
 from valor_common.model import Model
-from valor_common.robot import WholeBody
 
 
 def minimum_jerk(time: float, duration: float) -> tuple[float, float, float]:
@@ -28,29 +27,30 @@ def minimum_jerk(time: float, duration: float) -> tuple[float, float, float]:
 
 
 class Follower:
-    """A critically damped second-order filter, with the derivatives of what it gives out.
+    """A critically damped second-order filter, with the derivatives of what it gives out: ẍ = ω²·(u − x) − 2ω·ẋ.
 
     Attributes:
-        value: (k,). rate: (k,) [1/s]. acceleration: (k,) [1/s²].
+        state: (3, 3) rows x, ẋ [1/s], ẍ [1/s²]; columns the components.
     """
 
-    def __init__(self, size: int, bandwidth: float) -> None:
-        """Args: size: k. bandwidth: [rad/s]."""
-        self._bandwidth = bandwidth
-        self.value, self.rate, self.acceleration = np.zeros(size), np.zeros(size), np.zeros(size)
+    def __init__(self, bandwidth: float, dt: float) -> None:
+        """Args: bandwidth: ω [rad/s]. dt: of an update [s]."""
+        w = bandwidth
+        acceleration = np.array((-w * w, -2.0 * w, 0.0))
+        rate = np.array((0.0, 1.0, 0.0)) + dt * acceleration
+        self._transition = np.stack((np.array((1.0, 0.0, 0.0)) + dt * rate, rate, acceleration))
+        self._input = w * w * np.array(((dt * dt,), (dt,), (1.0,)))
+        self.state = np.zeros((3, 3))
 
     def reset(self, value: FloatArray) -> None:
-        """Stand still at ``value``."""
-        self.value[:] = value
-        self.rate[:] = 0.0
-        self.acceleration[:] = 0.0
+        """Stand still at ``value`` (3,)."""
+        self.state[:] = 0.0
+        self.state[0] = value
 
-    def update(self, target: FloatArray, dt: float) -> None:
-        """Follow ``target``: ẍ = ω²·(x_target − x) − 2ω·ẋ."""
-        w = self._bandwidth
-        self.acceleration[:] = (target - self.value) * (w * w) - self.rate * (2.0 * w)
-        self.rate += self.acceleration * dt
-        self.value += self.rate * dt
+    def update(self, target: FloatArray) -> None:
+        """Follow u = ``target`` (3,) for one period."""
+        self.state = self._transition @ self.state
+        self.state += self._input * target
 
 
 class StandReference:
@@ -62,15 +62,24 @@ class StandReference:
         legs_blend: s, of the leg joints from where they were to nominal.
     """
 
-    def __init__(self, model: Model, table: WholeBody, omega: float, upper_body: UpperBodyKinematics) -> None:
+    def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics) -> None:
+        robot = model.robot
+        table, dt = robot.tables.whole_body, robot.control_period
         self._upper_body = upper_body
         self._omega = omega
         self._duration = table.blend_duration
-        self._limit = np.array((table.com_shift_limit, table.com_shift_limit, np.inf))
-        feet = model.robot.tables.feet
-        self._centres = np.array([((foot.heel + foot.toe) / 2.0, 0.0, 0.0) for foot in (feet.left, feet.right)])
-        self._support = Follower(3, table.support_bandwidth)
-        self._shift = Follower(3, table.com_shift_bandwidth)
+        limit = table.com_shift_limit
+        self._limit = np.array((limit, limit, np.inf)) if limit else np.zeros(3)
+        feet = robot.tables.feet
+        centres = [((foot.heel + foot.toe) / 2.0, 0.0, 0.0) for foot in (feet.left, feet.right)]
+        self._centres = np.array(centres)[:, :, None]
+        self._height = np.array((0.0, 0.0, upper_body.nominal_com_height))
+        self._dt = dt
+        self._support_gain = table.support_bandwidth * dt
+        self._support = np.zeros(3)
+        self._shift = Follower(table.com_shift_bandwidth, dt)
+        # DCM x + ẋ/ω and VRP x − ẍ/ω² of a CoM x
+        self._points = np.array(((1.0, 1.0 / omega, 0.0), (1.0, 0.0, -1.0 / (omega * omega))))
         self._time = 0.0
         self._com_offset = np.zeros(3)
         self._pelvis_offset = np.zeros(3)
@@ -82,45 +91,49 @@ class StandReference:
     def reset(self, state: RobotState) -> None:
         """Start from ``state``, at rest."""
         self._time = 0.0
-        self._support.reset(self._support_centre(state))
-        level = self._level(state)
+        self._support = self._support_centre(state)
+        level = _level(state)
         self._shift.reset(self._clipped_shift(level))
-        self._com_offset = state.com_in_odom - self._support.value - self._shift.value
+        self._com_offset = state.com_in_odom - self._support - self._shift.state[0]
         self._pelvis_offset = rotation.rotation_vector(state.pelvis_rotation_in_odom @ level.T)
         chest = level @ self._upper_body.chest_rotation()
         self._chest_offset = rotation.rotation_vector(state.dynamics.chest_rotation @ chest.T)
 
-    def update(self, state: RobotState, dt: float) -> None:
-        """Go on by ``dt`` [s]; ``upper_body`` is at the commanded posture."""
-        self._time += dt
-        s, rate, acceleration = minimum_jerk(self._time, self._duration)
-        self.legs_blend = s
-        level = self._level(state)
-        self._support.update(self._support_centre(state), dt)
-        self._shift.update(self._clipped_shift(level), dt)
-        shift, omega = self._shift, self._omega
-        com = self._support.value + shift.value + (1.0 - s) * self._com_offset
-        self.dcm = com + (shift.rate - rate * self._com_offset) / omega
-        self.vrp = com - (shift.acceleration - acceleration * self._com_offset) / (omega * omega)
+    def update(self, state: RobotState) -> None:
+        """Go on by one period; ``upper_body`` is at the commanded posture."""
+        self._time += self._dt
+        level = _level(state)
+        self._support += (self._support_centre(state) - self._support) * self._support_gain
+        self._shift.update(self._clipped_shift(level))
+        points = self._points @ self._shift.state
+        points += self._support
+        self.dcm, self.vrp = points[0], points[1]
         self.pelvis = level
         self.chest = level @ self._upper_body.chest_rotation()
-        if s < 1.0:
-            self.pelvis = rotation.from_rotation_vector((1.0 - s) * self._pelvis_offset) @ self.pelvis
-            self.chest = rotation.from_rotation_vector((1.0 - s) * self._chest_offset) @ self.chest
+        self.legs_blend = 1.0
+        if self._time < self._duration:
+            self._blend_in(*minimum_jerk(self._time, self._duration))
+
+    def _blend_in(self, s: float, rate: float, acceleration: float) -> None:
+        """Add what is left of the start."""
+        omega, left = self._omega, 1.0 - s
+        self.legs_blend = s
+        self.dcm += (left - rate / omega) * self._com_offset
+        self.vrp += (left + acceleration / (omega * omega)) * self._com_offset
+        self.pelvis = rotation.from_rotation_vector(left * self._pelvis_offset) @ self.pelvis
+        self.chest = rotation.from_rotation_vector(left * self._chest_offset) @ self.chest
 
     def _support_centre(self, state: RobotState) -> FloatArray:
         """(3,) of the CoM over the middle of both soles at nominal height, in odom [m]."""
-        centre: FloatArray = (state.sole_positions_in_odom[0] + state.sole_positions_in_odom[1]) * 0.5
-        turned = state.sole_rotations_in_odom[0] @ self._centres[0] + state.sole_rotations_in_odom[1] @ self._centres[1]
-        centre += 0.5 * turned
-        centre[2] += self._upper_body.nominal_com_height
-        return centre
-
-    def _level(self, state: RobotState) -> FloatArray:
-        return rotation.yaw_matrix(
-            rotation.mean_yaw(state.sole_rotations_in_odom[0], state.sole_rotations_in_odom[1])
-        )
+        centres = np.matmul(state.sole_rotations_in_odom, self._centres)[:, :, 0]
+        centres += state.sole_positions_in_odom
+        return (centres[0] + centres[1]) * 0.5 + self._height
 
     def _clipped_shift(self, level: FloatArray) -> FloatArray:
         shift: FloatArray = level @ self._upper_body.com_displacement()
         return np.minimum(np.maximum(shift, -self._limit), self._limit)
+
+
+def _level(state: RobotState) -> FloatArray:
+    """(3, 3) upright, heading as the feet do."""
+    return rotation.yaw_matrix(rotation.mean_yaw(state.sole_rotations_in_odom[0], state.sole_rotations_in_odom[1]))

@@ -6,7 +6,7 @@ Python floats, for a NumPy call on four numbers costs more than the arithmetic.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import atan2, sqrt
+from math import atan2, cos, sin, sqrt
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def small(x: float, y: float, z: float) -> Quaternion:
 
 def about_z(angle: float) -> Quaternion:
     """The rotation about z by an angle [rad]."""
-    return float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))
+    return cos(0.5 * angle), 0.0, 0.0, sin(0.5 * angle)
 
 
 def matrix(a: Quaternion, out: FloatArray) -> None:
@@ -80,7 +80,7 @@ def mean_yaw(first: FloatArray, second: FloatArray) -> float:
 
 def yaw_matrix(angle: float) -> FloatArray:
     """(3, 3) rotation about z."""
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = cos(angle), sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
