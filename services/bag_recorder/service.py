@@ -42,6 +42,7 @@ class BagRecorder:
         self._context = context
         self._statistics = context.statistics
         self._notes = _Notes(context.instance.folder / "bag_recorder.json")
+        _place(context)
         self._notes.recover_unfinished()
         self._clock = WallClock()
         self._bag: Bag | None = None
@@ -160,17 +161,18 @@ class BagRecorder:
         bag.abandon()
         reason = _told(error, bag.path)
         _log.error("stopped recording: %s", reason)
-        self._statistics.state("starting", f"not recording: {reason}")
         try:
             recover(bag.path)
             self._notes.finished(bag.path)
         except (BagError, OSError) as failed:
-            _log.error("left for the next start to finish: %s", failed)
+            _log.error("left to be finished later: %s", failed)
+        self._statistics.state("starting", f"not recording: {reason}")
 
     def _try_again(self) -> None:
         try:
             place = _place(self._context)
             if shutil.disk_usage(place.parent).free >= SPACE_KEPT:
+                self._notes.recover_unfinished()
                 self._open()
                 self._statistics.state("ready")
         except OSError:

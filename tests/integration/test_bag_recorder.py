@@ -1,0 +1,327 @@
+"""The recorder as a process: a real daemon, real publishers on both sides, and the bag read by others' tools."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+import rclpy
+from mcap.reader import make_reader
+from rclpy.action import ActionServer
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+import bifrost
+from tests.conftest import RunningInstance, wait_until
+from valor_common.bag_recovery import recover
+from valor_common.messages import JointSetpoints, Motor, Statistics
+from valor_common.service import EXIT_CONFIGURATION
+from valor_common.topics import JOINT_SETPOINTS, MOTOR, STATISTICS
+
+JOINTS = 38
+SECOND = 1_000_000_000
+RELIABLE = QoSProfile(depth=1000)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture
+def ros(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+    """A ROS node in this process, in the instance's domain."""
+    for name, value in instance.instance.environment().items():
+        monkeypatch.setenv(name, value)
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("test", context=context)
+    yield node
+    node.destroy_node()
+    context.shutdown()
+
+
+def motor(sequence: int) -> Motor:
+    """A message that compresses badly, as real ones do."""
+    values = np.random.default_rng(sequence).normal(size=(5, JOINTS))
+    return Motor(7, sequence, 3, np.full(JOINTS, 2, np.uint8), *values)
+
+
+def bags(instance: RunningInstance) -> list[Path]:
+    return sorted(instance.instance.bags.glob("*.mcap"), key=lambda path: path.stat().st_ctime_ns)
+
+
+def counts(path: Path) -> Counter[str]:
+    """Messages by topic that the file holds by now, finished or not."""
+    copy = path.with_suffix(".copy")
+    shutil.copyfile(path, copy)
+    recover(copy)
+    counted: Counter[str] = Counter()
+    with open(copy, "rb") as file:
+        for _, channel, _ in make_reader(file).iter_messages():
+            counted[channel.topic] += 1
+    copy.unlink()
+    return counted
+
+
+def has(path: Path, topic: str, number: int) -> bool:
+    return counts(path)[topic] >= number
+
+
+def recorder(instance: RunningInstance) -> Path:
+    """Start the recorder; returns its bag."""
+    before = set(bags(instance))
+    instance.start("bag_recorder")
+    instance.wait_ready("bag_recorder")
+    (path,) = set(bags(instance)) - before
+    return path
+
+
+def connect(path: Path, publisher: bifrost.Publisher[bifrost.M], message: bifrost.M) -> int:
+    """Publish until the recorder hears: what comes before is lost, and rightly so. Returns how many it heard."""
+    topic = "/bifrost/" + publisher.topic
+    sent = []
+
+    def heard() -> bool:
+        sent.append(publisher.publish(message))
+        return len(sent) % 10 == 0 and has(path, topic, 1)
+
+    wait_until(heard, 20.0, f"the recorder hears {publisher.topic}", 0.05)
+    wait_until(lambda: newest(path, topic) == sent[-1], 20.0, "and all that was said so far", 0.2)
+    return counts(path)[topic]
+
+
+def newest(path: Path, topic: str) -> int:
+    copy = path.with_suffix(".copy")
+    shutil.copyfile(path, copy)
+    recover(copy)
+    with open(copy, "rb") as file:
+        sequences = [message.sequence for _, _, message in make_reader(file).iter_messages(topics=[topic])]
+    copy.unlink()
+    return sequences[-1] if sequences else 0
+
+
+class Stream(threading.Thread):
+    """Publishes Motor at a steady rate until told to stop."""
+
+    def __init__(self, publisher: bifrost.Publisher[Motor], rate: float) -> None:
+        super().__init__(daemon=True)
+        self._publisher, self._period = publisher, 1.0 / rate
+        self.stopping = threading.Event()
+        self.sent: list[tuple[int, int]] = []  # sequence, monotonic time [ns]
+
+    def run(self) -> None:
+        sequence = 0
+        while not self.stopping.wait(self._period):
+            sequence = self._publisher.publish(motor(sequence))
+            self.sent.append((sequence, time.monotonic_ns()))
+
+    def stop(self) -> None:
+        self.stopping.set()
+        self.join()
+
+
+def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, ros: Node) -> None:
+    latched = ros.create_publisher(String, "/robot_description", KEPT)
+    latched.publish(String(data="<robot/>"))
+    states = ros.create_publisher(JointState, "/joint_states", RELIABLE)
+    imu = ros.create_publisher(String, "/best_effort", BEST_EFFORT)
+    action = ActionServer(ros, ChangeControlMode, "/change_control_mode", lambda goal: None)
+
+    path = recorder(instance)
+    node = instance.node()
+    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    names = [f"joint_{i}" for i in range(JOINTS)]
+    extra = connect(path, motors, motor(0))
+    extra_setpoints = connect(path, setpoints, JointSetpoints(0, names, *np.zeros((3, JOINTS))))
+    for publisher in (latched, states, imu):
+        wait_until(publisher.get_subscription_count, 20.0, f"the recorder subscribes to {publisher.topic_name}")
+
+    began = time.time_ns()
+    for number in range(1, 501):
+        motors.publish(motor(number))
+        setpoints.publish(JointSetpoints(number, names, *np.full((3, JOINTS), float(number))))
+        states.publish(JointState(name=names, position=[float(number)] * JOINTS))
+        if number <= 20:
+            imu.publish(String(data=str(number)))
+        time.sleep(0.001)  # a stream, not a burst
+    ended = time.time_ns()
+    wait_until(lambda: has(path, "/joint_states", 500), 20.0, "the ROS messages are in the bag", 0.3)
+    wait_until(
+        lambda: has(path, "/bifrost/" + JOINT_SETPOINTS.name, 500 + extra_setpoints), 20.0, "so are Bifrost's", 0.3
+    )
+    stopped = time.monotonic()
+    assert instance.stop("bag_recorder") == 0
+    assert time.monotonic() - stopped < 5.0
+    action.destroy()
+
+    found: dict[str, list[tuple[int, object]]] = {}
+    with AnyReader([path]) as reader:  # decodes by the definitions in the bag alone
+        for connection, timestamp, data in reader.messages():
+            found.setdefault(connection.topic, []).append((timestamp, reader.deserialize(data, connection.msgtype)))
+    expected = {
+        "/bifrost/" + MOTOR.name: 500 + extra,
+        "/bifrost/" + JOINT_SETPOINTS.name: 500 + extra_setpoints,
+        "/joint_states": 500,
+        "/best_effort": 20,
+        "/robot_description": 1,
+    }
+    assert {topic: len(found[topic]) for topic in expected} == expected
+    assert not [topic for topic in found if "/_" in topic], "hidden topics are not recorded"
+
+    first = found["/bifrost/" + MOTOR.name][extra][1].bifrost_sequence
+    for number, (timestamp, message) in enumerate(found["/bifrost/" + MOTOR.name][extra:], 1):
+        sent = motor(number)
+        assert message.sequence == number
+        assert message.bifrost_sequence == first + number - 1
+        assert message.header.frame_id == "test"
+        assert message.header.stamp.sec * SECOND + message.header.stamp.nanosec == timestamp
+        assert began - SECOND // 100 <= timestamp <= ended + SECOND // 100
+        assert message.mode.tobytes() == sent.mode.tobytes()
+        for name in ("position", "velocity", "effort", "stiffness", "damping"):
+            assert getattr(message, name).tobytes() == getattr(sent, name).tobytes(), name
+    for number, (timestamp, message) in enumerate(found["/joint_states"], 1):
+        assert message.position[0] == number
+        assert began <= timestamp <= ended + 2 * SECOND
+    assert found["/robot_description"][0][1].data == "<robot/>"
+
+    with open(path, "rb") as file:
+        bag = make_reader(file, validate_crcs=True)
+        assert bag.get_header().profile == "ros2"
+        (origin,) = [record.metadata for record in bag.iter_metadata() if record.name == "valor"]
+        assert origin["robot"] == "escher"
+        assert abs(int(origin["wall_minus_monotonic_ns"]) - (time.time_ns() - time.monotonic_ns())) < SECOND
+        for schema, channel, message in bag.iter_messages():
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            assert message.publish_time <= message.log_time
+    with Reader(path) as reader:
+        (description,) = [each for each in reader.connections if each.topic == "/robot_description"]
+        assert description.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
+
+
+def test_two_thousand_messages_a_second_are_all_kept(instance: RunningInstance) -> None:
+    path = recorder(instance)
+    node = instance.node()
+    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    names = [f"joint_{i}" for i in range(JOINTS)]
+    message, setpoint = motor(1), JointSetpoints(1, names, *np.zeros((3, JOINTS)))
+    extra, extra_setpoints = connect(path, motors, message), connect(path, setpoints, setpoint)
+    number, due = 2000, time.monotonic()
+    for _ in range(number):
+        motors.publish(message)
+        setpoints.publish(setpoint)
+        due += 0.001
+        time.sleep(max(0.0, due - time.monotonic()))
+    wait_until(
+        lambda: has(path, "/bifrost/" + JOINT_SETPOINTS.name, number + extra_setpoints), 20.0, "all are in the bag", 0.3
+    )
+    statistics = node.subscriber(STATISTICS["bag_recorder"].name, Statistics)
+    received = statistics.receive(timeout=10.0)
+    assert received is not None and received.message.drops == 0
+    assert instance.stop("bag_recorder") == 0
+    assert counts(path)["/bifrost/" + MOTOR.name] == number + extra
+
+
+def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: RunningInstance) -> None:
+    first = recorder(instance)
+    node = instance.node()
+    stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
+    stream.start()
+    wait_until(lambda: has(first, "/bifrost/" + MOTOR.name, 400), 30.0, "two seconds are in the bag", 0.3)
+    killed = time.monotonic_ns()
+    instance.kill("bag_recorder")
+
+    second = recorder(instance)
+    assert second != first
+    assert recover(first).finished, "finished by the one that came after"
+    with open(first, "rb") as file:
+        sequences = [m.sequence for _, c, m in make_reader(file).iter_messages() if c.topic.endswith("/motor")]
+    assert sequences == list(range(sequences[0], sequences[-1] + 1))
+    assert sequences[-1] >= max(sequence for sequence, at in stream.sent if at < killed - 2 * SECOND)
+
+    wait_until(lambda: has(second, "/bifrost/" + MOTOR.name, 100), 30.0, "the new bag goes on", 0.3)
+    stream.stop()
+    assert instance.stop("bag_recorder") == 0
+    assert recover(second).finished
+
+
+def test_a_disk_that_fills_up_costs_no_more_than_what_does_not_fit(instance: RunningInstance) -> None:
+    path = recorder(instance)
+    node = instance.node()
+    statistics = node.subscriber(STATISTICS["bag_recorder"].name, Statistics, queue=100)
+    stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
+    stream.start()
+    wait_until(lambda: has(path, "/bifrost/" + MOTOR.name, 100), 30.0, "the bag has begun", 0.3)
+
+    def heard(state: str) -> Statistics | None:
+        said = [each.message for each in statistics.drain() if each.message.state == state]
+        return said[-1] if said else None
+
+    process = psutil.Process(instance.process("bag_recorder").pid)
+    _, hard = process.rlimit(psutil.RLIMIT_FSIZE)
+    process.rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + (64 << 10), hard))
+    told = wait_until(lambda: heard("starting"), 20.0, "the recorder says that it does not record")
+    assert "not recording: " in told.detail and path.name in told.detail and "File too large" in told.detail
+    assert recover(path).finished
+    kept = counts(path)["/bifrost/" + MOTOR.name]
+    assert kept >= 100
+
+    process.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
+    wait_until(lambda: heard("ready"), 30.0, "the recorder records again")
+    stream.stop()
+    assert instance.process("bag_recorder").poll() is None
+    assert instance.log("bag_recorder").count("stopped recording") == 1
+    assert instance.stop("bag_recorder") == 0
+    assert counts(path)["/bifrost/" + MOTOR.name] == kept
+    assert len(bags(instance)) == 2
+
+
+def test_a_publisher_that_offers_less_than_the_others_is_heard_too(instance: RunningInstance, ros: Node) -> None:
+    first = ros.create_publisher(String, "/chatter", RELIABLE)
+    path = recorder(instance)
+    wait_until(first.get_subscription_count, 20.0, "the recorder subscribes")
+    second = ros.create_publisher(String, "/chatter", BEST_EFFORT)
+    wait_until(second.get_subscription_count, 20.0, "it subscribes anew, asking for less")
+    wait_until(first.get_subscription_count, 20.0, "and still hears the first")
+    for _ in range(10):
+        first.publish(String(data="first"))
+        second.publish(String(data="second"))
+    wait_until(lambda: has(path, "/chatter", 20), 20.0, "both are in the bag", 0.3)
+    assert instance.stop("bag_recorder") == 0
+
+
+@pytest.mark.parametrize(
+    ("bag", "told"),
+    [
+        ("/dev/null/a.mcap", "/dev/null"),
+        ("/tmp/a.bag", "bag: /tmp/a.bag: expected a folder or a name that ends in .mcap"),
+    ],
+)
+def test_a_bag_that_cannot_be_written_is_one_clear_line(instance: RunningInstance, bag: str, told: str) -> None:
+    instance.configure(bag=Path(bag))
+    process = instance.start("bag_recorder")
+    assert process.wait(30) == EXIT_CONFIGURATION
+    (line,) = instance.log("bag_recorder").splitlines()
+    assert "ERROR bag_recorder" in line and told in line
+
+
+def test_a_bag_that_exists_is_kept(instance: RunningInstance) -> None:
+    wanted = instance.instance.bags / "run.mcap"
+    wanted.write_bytes(b"precious")
+    instance.configure(bag=wanted)
+    path = recorder(instance)
+    assert path.name == "run_1.mcap"
+    assert instance.stop("bag_recorder") == 0
+    assert wanted.read_bytes() == b"precious"
+    assert recover(path).finished
