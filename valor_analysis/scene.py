@@ -1,0 +1,110 @@
+"""The robot on a floor, in good light, drawn off screen."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor_analysis.offscreen import Image, Offscreen
+from valor_analysis.recording import Posture
+from valor_common.model import Model, robot_spec
+from valor_common.robot import RobotDescription
+
+_SUPERSAMPLING = 2  # drawn this much larger, then averaged: edges without steps
+
+
+def scene_spec(robot: RobotDescription, width: int, height: int) -> mujoco.MjSpec:
+    """The robot in a studio: light floor, plain sky, one sun with shadows and a fill."""
+    spec = robot_spec(robot, "all")
+    spec.visual.global_.offwidth = width
+    spec.visual.global_.offheight = height
+    spec.visual.quality.shadowsize = 8192
+    spec.visual.quality.offsamples = 0  # drawn larger instead
+    spec.visual.map.shadowclip = 1.6
+    spec.visual.headlight.ambient[:] = 0.32
+    spec.visual.headlight.diffuse[:] = 0.22
+    spec.visual.headlight.specular[:] = 0.05
+    spec.visual.rgba.haze[:] = (0.93, 0.94, 0.96, 1.0)
+    spec.visual.map.haze = 0.4
+    spec.add_texture(
+        name="studio_sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.80, 0.85, 0.91],
+        rgb2=[0.95, 0.96, 0.97],
+        width=256,
+        height=1536,
+    )
+    spec.add_texture(
+        name="studio_floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.80, 0.82, 0.84],
+        rgb2=[0.80, 0.82, 0.84],
+        markrgb=[0.66, 0.69, 0.72],
+        width=512,
+        height=512,
+    )
+    floor = spec.add_material(name="studio_floor", texrepeat=[2, 2], texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "studio_floor"
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="studio_floor", contype=0, conaffinity=0
+    )
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[2.5, -1.7, 3.5],
+        dir=[-0.75, 0.5, -1.0],
+        diffuse=[0.75, 0.74, 0.72],
+        specular=[0.3, 0.3, 0.3],
+        castshadow=True,
+    )
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[-2.0, 3.0, 3.0],
+        dir=[0.5, -0.7, -0.6],
+        diffuse=[0.18, 0.19, 0.22],
+        specular=[0.0, 0.0, 0.0],
+        castshadow=False,
+    )
+    return spec
+
+
+class Scene:
+    """Draws one robot, posture by posture, from a fixed camera.
+
+    Raises:
+        RenderingError: there is no off-screen OpenGL here; names what to install.
+    """
+
+    def __init__(self, robot: RobotDescription, width: int, height: int) -> None:
+        large = (width * _SUPERSAMPLING, height * _SUPERSAMPLING)
+        self._model = Model(robot, scene_spec(robot, *large).compile())
+        self._data = mujoco.MjData(self._model.mj)
+        self._offscreen = Offscreen(self._model.mj, *large)
+        self._camera = mujoco.MjvCamera()
+        self._camera.azimuth, self._camera.elevation, self._camera.distance = 148.0, -8.0, 2.62
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        self._offscreen.close()
+
+    def look_at(self, point: npt.NDArray[np.float64]) -> None:
+        """Turn the camera to a point (3,) in world [m]."""
+        self._camera.lookat[:] = point
+
+    def draw(self, posture: Posture) -> Image:
+        """(height, width, 3) the robot in a posture."""
+        data, model = self._data, self._model
+        data.qpos[:3] = posture.pelvis_position
+        data.qpos[3:7] = posture.pelvis_orientation
+        data.qpos[model.qpos] = posture.joint_position[model.joint_indices]
+        mujoco.mj_kinematics(model.mj, data)
+        mujoco.mj_comPos(model.mj, data)
+        mujoco.mj_camlight(model.mj, data)
+        image = self._offscreen.render(data, self._camera)
+        h, w = image.shape[0] // _SUPERSAMPLING, image.shape[1] // _SUPERSAMPLING
+        blocks = image.reshape(h, _SUPERSAMPLING, w, _SUPERSAMPLING, 3)
+        averaged: Image = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+        return averaged

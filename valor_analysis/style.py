@@ -1,0 +1,64 @@
+"""How our figures look: quiet axes, colors that everybody can tell apart, no global state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib import font_manager
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+INK, GREY, LIGHT = "#22272e", "#6b7480", "#dde1e6"
+REFERENCE, COMMAND, MEASURED = "#22272e", "#0072b2", "#d55e00"  # Okabe and Ito's colors
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#22272e", "#8c6d46")
+FONT = "DejaVu Sans"
+
+
+def figure(width: float, height: float, dpi: float = 110) -> Figure:
+    """An empty figure [inches] that draws without a display."""
+    made = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(made)
+    return made
+
+
+def quiet(axes: Axes, title: str = "", x_label: str = "", y_label: str = "") -> None:
+    """Axes with nothing on them that says nothing."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(LIGHT)
+    axes.tick_params(colors=GREY, labelsize=8.5, length=3)
+    axes.grid(True, color=LIGHT, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.set_title(title, fontsize=10, color=INK, loc="left")
+    axes.set_xlabel(x_label, fontsize=9, color=GREY)
+    axes.set_ylabel(y_label, fontsize=9, color=GREY)
+
+
+def line(x: tuple[float, float], y: tuple[float, float], color: str, width: float) -> Line2D:
+    """A line in the figure's own coordinates, 0 to 1; add it with ``add_artist``."""
+    return Line2D(x, y, color=color, linewidth=width)
+
+
+def heading(figure: Figure, title: str, subtitle: str) -> None:
+    """A figure's title and what it is of, top left."""
+    height = figure.get_figheight()
+    figure.text(0.012, 1.0 - 0.16 / height, title, fontsize=14, weight="bold", color=INK, va="top")
+    figure.text(0.012, 1.0 - 0.47 / height, subtitle, fontsize=9.5, color=GREY, va="top")
+
+
+def legend(target: Any, handles: list[Any], **where: Any) -> None:
+    """A legend without a box."""
+    made = target.legend(handles=handles, frameon=False, fontsize=9, labelcolor=INK, **where)
+    for text in made.get_texts():
+        text.set_fontproperties(font_manager.FontProperties(family=FONT, size=9))
+
+
+def save(figure: Figure, path: Path, dpi: float = 110) -> Path:
+    """Write a PNG; returns its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi)
+    return path
