@@ -2,6 +2,7 @@
 
 from bifrost.client import Client
 from bifrost.directory import DaemonInfo
+from bifrost.encoding import codec
 from bifrost.errors import (
     ConfigurationError,
     Error,
@@ -12,19 +13,12 @@ from bifrost.errors import (
 )
 from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
 from bifrost.health import daemon_alive
-from bifrost.messages import (
-    Float64Array,
-    Message,
-    Schema,
-    Uint8Array,
-    codec,
-    from_builtins,
-    to_builtins,
-    type_from_schema,
-)
+from bifrost.messages import Float64Array, Message, Uint8Array
 from bifrost.network import Computer, Network
 from bifrost.node import Node
+from bifrost.plain import from_builtins, to_builtins
 from bifrost.publisher import Publisher
+from bifrost.schema import Schema, type_from_schema
 from bifrost.server import Server
 from bifrost.subscriber import Received, Subscriber
 from bifrost.waiting import wait

@@ -65,24 +65,22 @@ class Daemon:
         ready = dict(poller.poll(max(0, int(timeout * 1000))))
         if self._gate.socket in ready:
             self._gate.answer()
-        if self._monitor in ready:
-            self._receive_disconnections()
+        lost = self._disconnected() if self._monitor in ready else []
         if self._socket in ready:
-            self._receive()
-        self._drop_silent()
-
-    def _receive_disconnections(self) -> None:
-        """Drop the nodes whose connection has ended: most often they were killed.
-
-        One that lives registers again on its next heartbeat.
-        """
-        while self._monitor.poll(0):
-            descriptor = recv_monitor_message(self._monitor)["value"]
-            lost = [i for i, member in self._members.items() if member.descriptor == descriptor]
-            for incarnation in lost:
+            self._receive()  # what the lost have said before is heard first: most have taken their leave
+        for incarnation in lost:
+            if incarnation in self._members:
                 record = self._members[incarnation].record
                 _log.info("node %s (pid %d) went without a word", record.name, record.pid)
                 self._drop(incarnation)
+        self._drop_silent()
+
+    def _disconnected(self) -> list[int]:
+        """The nodes whose connection has ended. One that lives registers again on its next heartbeat."""
+        ended = set()
+        while self._monitor.poll(0):
+            ended.add(recv_monitor_message(self._monitor)["value"])
+        return [i for i, member in self._members.items() if member.descriptor in ended]
 
     def _receive(self) -> None:
         for _ in range(1000):

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from bifrost.messages import Schema
+from bifrost.schema import Schema
 
 Kind = Literal["publisher", "subscriber", "server", "client"]
 

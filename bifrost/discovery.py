@@ -1,11 +1,12 @@
 """A node's one background thread: tells the daemon what the node has, learns who else is there, guards the door.
 
 Publishers, subscribers, servers and clients never talk to the daemon themselves. They announce an ``Entry`` here, and
-those that connect hold a ``Watch``: the peers of a topic, renewed by the thread, which wakes the owner when they change.
+those that connect hold a ``Watch``: the peers of a topic, renewed by the thread, which wakes the owner then.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import threading
@@ -17,8 +18,8 @@ import msgspec
 import zmq
 
 from bifrost import directory as d
-from bifrost.messages import Schema
 from bifrost.network import Network
+from bifrost.schema import Schema
 from bifrost.security import Gate, connecting_socket
 
 WAKE_ENDPOINT = "inproc://bifrost.wake"
@@ -187,11 +188,13 @@ class Discovery:
         )
 
     def _peers(self, watch: Watch) -> tuple[Peer, ...]:
-        records = list(self._state.nodes.values())
-        for departed in self._state.departed.values():
+        departed = (
+            each.record
+            for each in self._state.departed.values()
             # Nobody calls a server that has left; what a publisher sent last is still read.
-            if departed.returning or watch.kind == "publisher":
-                records.append(departed.record)
+            if each.returning or watch.kind == "publisher"
+        )
+        records = [*self._state.nodes.values(), *departed]
         records.sort(key=lambda record: record.started)
         return tuple(
             Peer(record.name, record.incarnation, record.started, entry)
@@ -336,10 +339,9 @@ class Discovery:
                 self._refresh()
 
     def _send(self, message: d.FromNode) -> None:
-        try:
+        # When the daemon has been away for long nothing more is queued: it asks for registration when it is back.
+        with contextlib.suppress(zmq.Again):
             self._daemon.send(d.encode(message), zmq.NOBLOCK)
-        except zmq.Again:
-            pass  # the daemon has been away for long; it asks for registration when it is back
 
     def _leave(self) -> None:
         if self.connected:

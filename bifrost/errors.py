@@ -13,7 +13,7 @@ class ConfigurationError(Error):
     """The network file or the keys are missing or wrong: names file, key and what was expected."""
 
 
-class TimeoutError(Error, builtins.TimeoutError):  # noqa: A001 - the name of the builtin that it is
+class TimeoutError(Error, builtins.TimeoutError):
     """No answer within the time allowed."""
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from bifrost.directory import Entry, NodeRecord
-from bifrost.messages import Schema
+from bifrost.schema import Schema
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.encoding import codec
 from bifrost.errors import Error
-from bifrost.messages import M, codec
+from bifrost.messages import M
 
 if TYPE_CHECKING:
     from bifrost.node import Node

@@ -13,7 +13,8 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
-from bifrost.messages import M, Message, codec
+from bifrost.encoding import codec
+from bifrost.messages import M, Message
 
 if TYPE_CHECKING:
     from bifrost.node import Node
@@ -38,7 +39,7 @@ class Server(Generic[M, R]):
         self._request, self._reply = codec(request), codec(reply)
         self._reply_type = reply
         self._handler = handler
-        self._prefix = topic.encode() + b"\0"
+        self._topic = topic.encode()
         self._computer = wire.computer_id()
         self._closed = False
         self.socket = node.listening_socket(zmq.ROUTER)
@@ -74,7 +75,7 @@ class Server(Generic[M, R]):
 
     def ready(self) -> bool:
         """Whether a request waits. Never blocks."""
-        return bool(self.socket.getsockopt(zmq.EVENTS) & zmq.POLLIN)
+        return bool(int(self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
 
     def holding(self) -> bool:
         """Whether a request waits outside the socket, where polling does not see it: never."""
@@ -93,9 +94,7 @@ class Server(Generic[M, R]):
             self._node.forget(self)
 
     def _answer(self, frame: bytes) -> bytes | None:
-        prefix = self._prefix
-        rest = frame[len(prefix) :] if frame.startswith(prefix) else frame.partition(b"\0")[2]
-        request_id: int
+        topic, _, rest = frame.partition(b"\0")
         try:
             version, request_hash, reply_hash, request_id, computer, deadline, length = wire.REQUEST.unpack_from(rest)
         except StructError:
@@ -107,7 +106,7 @@ class Server(Generic[M, R]):
         start = wire.REQUEST.size
         origin = rest[start : start + length].decode(errors="replace")
         payload = memoryview(rest)[start + length :]
-        if not frame.startswith(prefix):
+        if topic != self._topic:
             return self._refuse(request_id, wire.OTHER_TOPIC, self.topic)
         if (request_hash, reply_hash) != (self._request.hash, self._reply.hash):
             return self._refuse(

@@ -13,8 +13,10 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
-from bifrost.messages import Codec, M, Message, codec, type_from_schema
+from bifrost.messages import M, Message
+from bifrost.schema import type_from_schema
 
 if TYPE_CHECKING:
     from bifrost.node import Node
@@ -45,12 +47,14 @@ class Subscriber(Generic[M]):
         drops: messages known lost, by gaps in the sequence, since start. A latest-value subscriber loses none: what
             newer messages replace is not counted.
         rejected: messages refused since start: of another schema, or not decodable.
+        bytes_received: of all messages since start, envelopes included, encryption not [B].
     """
 
     def __init__(self, node: Node, topic: str, message_type: type[M] | None, queue: int | None) -> None:
         self.topic = topic
         self.drops = 0
         self.rejected = 0
+        self.bytes_received = 0
         self._node = node
         self._codec: Codec[M] | None = None if message_type is None else codec(message_type)
         self._codecs: dict[bytes, Codec[Any]] = {}
@@ -213,6 +217,7 @@ class Subscriber(Generic[M]):
             if last is not None and sequence > last + 1:
                 self.drops += sequence - last - 1
             self._last[incarnation] = sequence
+        self.bytes_received += len(frame)
         self._waiting.append((stamp, sequence, frame))
         return True
 

@@ -1,0 +1,374 @@
+"""The verbs ``topic list|info|echo|hz|bw`` and ``service list|call``: the network as a person sees it.
+
+``topic`` and ``service`` are Typer apps to mount in a larger command line; ``python -m bifrost.cli`` has both. They
+join the network that ``BIFROST_NETWORK`` and ``BIFROST_KEYS`` name. What they raise is a ``bifrost.Error`` of one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Annotated, Any
+
+import typer
+
+from bifrost.errors import Error, NoServerError, TimeoutError
+from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
+from bifrost.messages import Message
+from bifrost.node import Node
+from bifrost.plain import from_builtins, to_builtins
+from bifrost.schema import type_from_schema
+from bifrost.subscriber import Received, Subscriber
+
+_QUEUE = 10_000  # messages; more than a second of anything
+_DAEMON_TIMEOUT = 2.0  # [s]
+
+topic = typer.Typer(name="topic", help="See what is published on Bifrost.", no_args_is_help=True)
+service = typer.Typer(name="service", help="See and call what is served on Bifrost.", no_args_is_help=True)
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+app.add_typer(topic)
+app.add_typer(service)
+
+Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
+Timeout = Annotated[float, typer.Option(help="How long to wait for the first message [s].", min=0.0)]
+Duration = Annotated[
+    float | None, typer.Option("--for", help="Measure this long [s]; else until interrupted.", min=0.1)
+]
+TopicName = Annotated[str, typer.Argument(metavar="TOPIC", help="Its name, as `topic list` shows it.")]
+
+
+@topic.command("list")
+def topic_list(as_json: Json = False) -> None:
+    """List every topic, its type, publishers and number of subscribers."""
+    with _node() as node:
+        graph = node.graph(_DAEMON_TIMEOUT)
+    topics = [info for info in graph.topics.values() if info.publishers or info.subscribers]
+    if as_json:
+        _print_json([_topic_json(graph, info) for info in topics])
+        return
+    rows = [
+        (
+            info.name,
+            " ≠ ".join(info.types) or "?",
+            ", ".join(end.node for end in info.publishers) or "-",
+            str(len(info.subscribers)),
+        )
+        for info in topics
+    ]
+    _print_table(("topic", "type", "published by", "subscribers"), rows)
+
+
+@topic.command("info")
+def topic_info(name: TopicName, as_json: Json = False) -> None:
+    """Show a topic's type with its fields, and who is at either end."""
+    with _node() as node:
+        graph = node.graph(_DAEMON_TIMEOUT)
+    info = graph.topics.get(name)
+    if info is None:
+        raise Error(f"topic {name}: nobody publishes or subscribes to it")
+    if as_json:
+        _print_json(_topic_json(graph, info))
+        return
+    hashes = sorted({digest for end in (*info.publishers, *info.subscribers) for digest in end.hashes})
+    print(f"topic {name}")
+    for digest in hashes:
+        schema = graph.schemas[digest]
+        for type_name in sorted(schema.types, key=lambda each: each != schema.name):
+            print(f"type {type_name}" + (f" ({digest})" if type_name == schema.name else ""))
+            for field, field_type in schema.types[type_name]:
+                print(f"  {field}: {field_type}")
+    for what, ends in (("publisher", info.publishers), ("subscriber", info.subscribers)):
+        for end in ends:
+            where = f" at {end.endpoint}" if end.endpoint else ""
+            print(f"{what} {end.node} (pid {end.pid} on {end.computer}){where}")
+
+
+@topic.command("echo")
+def topic_echo(
+    name: TopicName,
+    once: Annotated[bool, typer.Option("--once", help="One message, the newest, then end.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+    timeout: Timeout = 5.0,
+) -> None:
+    """Print a topic's messages, whatever their type; numbers that are not finite are null in JSON."""
+    with _node() as node, _until_interrupted():
+        subscriber = node.subscribe_any(name, queue=None if once else _QUEUE)
+        received: Received[Message] | None = _first(node, subscriber, timeout)
+        while True:
+            if received is not None:
+                _print_message(received, as_json)
+                if once:
+                    return
+            received = subscriber.receive(timeout=1.0)
+
+
+@topic.command("hz")
+def topic_hz(name: TopicName, duration: Duration = None, as_json: Json = False, timeout: Timeout = 5.0) -> None:
+    """Measure how often a topic is published, by the publisher's own stamps; every second, or once with --for."""
+    for messages, _, drops in _windows(name, duration, timeout):
+        periods = [(b.stamp - a.stamp) / 1e9 for a, b in pairwise(messages)]
+        if not periods:
+            periods = [0.0]
+        mean = statistics.fmean(periods)
+        result = {
+            "rate": 1.0 / mean if mean else 0.0,
+            "period_mean": mean,
+            "period_min": min(periods),
+            "period_max": max(periods),
+            "period_stddev": statistics.pstdev(periods),
+            "messages": len(messages),
+            "drops": drops,
+        }
+        if as_json:
+            _print_json({"topic": name} | result, one_line=True)
+        else:
+            print(
+                f"{result['rate']:.2f} Hz; period mean {mean * 1e3:.3f} ms, min {min(periods) * 1e3:.3f}, "
+                f"max {max(periods) * 1e3:.3f}, deviation {result['period_stddev'] * 1e3:.3f}; "
+                f"{len(messages)} messages, {drops} dropped",
+                flush=True,
+            )
+
+
+@topic.command("bw")
+def topic_bw(name: TopicName, duration: Duration = None, as_json: Json = False, timeout: Timeout = 5.0) -> None:
+    """Measure how many bytes a topic takes; every second, or once with --for."""
+    for messages, size, drops in _windows(name, duration, timeout):
+        span = max(1e-9, (messages[-1].stamp - messages[0].stamp) / 1e9) if len(messages) > 1 else 1.0
+        mean = size / max(1, len(messages))
+        rate = mean * (len(messages) - 1) / span if len(messages) > 1 else float(size)
+        if as_json:
+            result = {"topic": name, "bytes_per_second": rate, "bytes_mean": mean}
+            _print_json(result | {"messages": len(messages), "drops": drops}, one_line=True)
+        else:
+            print(f"{_bytes(rate)}/s; {_bytes(mean)} a message, {len(messages)} messages", flush=True)
+
+
+@service.command("list")
+def service_list(as_json: Json = False) -> None:
+    """List every service, its types, and who serves it."""
+    with _node() as node:
+        graph = node.graph(_DAEMON_TIMEOUT)
+    if as_json:
+        _print_json([_service_json(graph, info) for info in graph.services.values()])
+        return
+    rows = []
+    for info in graph.services.values():
+        types = sorted({" -> ".join(end.types) for end in (*info.servers, *info.clients)})
+        servers = ", ".join(end.node for end in info.servers) or "-"
+        rows.append((info.name, " ≠ ".join(types), servers, str(len(info.clients))))
+    _print_table(("service", "type", "served by", "clients"), rows)
+
+
+@service.command("call")
+def service_call(
+    name: Annotated[str, typer.Argument(metavar="SERVICE", help="Its name, as `service list` shows it.")],
+    request: Annotated[str, typer.Argument(help="The request's fields as a JSON object.")] = "{}",
+    as_json: Json = False,
+    timeout: Annotated[float, typer.Option(help="For a server and its reply [s].", min=0.0)] = 5.0,
+) -> None:
+    """Send a request and print the reply."""
+    try:
+        fields = json.loads(request)
+    except ValueError as error:
+        raise typer.BadParameter(f"expected a JSON object: {error}", param_hint="REQUEST") from None
+    with _node() as node:
+        graph, server = _server(node, name, timeout)
+        types = [type_from_schema(graph.schemas[digest]) for digest in server.hashes]
+        client = node.client(name, *types)
+        reply = client.call(from_builtins(types[0], fields), timeout)
+    if as_json:
+        _print_json(to_builtins(reply))
+    else:
+        print("\n".join(_lines(to_builtins(reply))))
+
+
+# --- the network ------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _node() -> Iterator[Node]:
+    with Node(f"cli_{os.getpid()}") as node:
+        yield node
+
+
+def _server(node: Node, name: str, timeout: float) -> tuple[Graph, End]:
+    """The newest server of a service, waited for."""
+    deadline = time.monotonic() + timeout
+    while True:
+        graph = node.graph(_DAEMON_TIMEOUT)
+        info = graph.services.get(name)
+        if info and info.servers:
+            return graph, info.servers[-1]
+        if time.monotonic() > deadline:
+            raise NoServerError(f"service {name}: no server within {timeout:g} s")
+        time.sleep(0.02)
+
+
+def _first(node: Node, subscriber: Subscriber[Message], timeout: float) -> Received[Message]:
+    """The first message.
+
+    Raises:
+        TimeoutError: none came; says whether there is a publisher, and a daemon.
+    """
+    received = subscriber.receive(timeout=timeout)
+    if received is not None:
+        return received
+    if not node.discovery.connected:
+        raise TimeoutError(f"topic {subscriber.topic}: {node.daemon_silent}")
+    if not subscriber.publishers:
+        raise TimeoutError(f"topic {subscriber.topic}: no publisher within {timeout:g} s")
+    names = ", ".join(subscriber.publishers)
+    raise TimeoutError(f"topic {subscriber.topic}: {names} published nothing within {timeout:g} s")
+
+
+def _windows(name: str, duration: float | None, timeout: float) -> Iterator[tuple[list[Received[Message]], int, int]]:
+    """The messages of every second, or of ``duration`` once: with their size [B] and how many were dropped."""
+    with _node() as node, _until_interrupted():
+        subscriber = node.subscribe_any(name, queue=_QUEUE)
+        _first(node, subscriber, timeout)
+        while True:
+            size, drops = subscriber.bytes_received, subscriber.drops
+            messages: list[Received[Message]] = []
+            deadline = time.monotonic() + (duration or 1.0)
+            while (remaining := deadline - time.monotonic()) > 0.0:
+                received = subscriber.receive(timeout=remaining)
+                if received is not None:
+                    messages.append(received)
+            if not messages and duration is not None:
+                raise TimeoutError(f"topic {name}: nothing published within {duration:g} s")
+            if messages:
+                yield messages, subscriber.bytes_received - size, subscriber.drops - drops
+            if duration is not None:
+                return
+
+
+@contextlib.contextmanager
+def _until_interrupted() -> Iterator[None]:
+    """Ctrl-C, or a reader that has seen enough, is how a person ends these."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        pass
+    except BrokenPipeError:
+        sys.stdout = None  # nobody reads: do not try again at exit
+
+
+# --- what a person or a program reads ---------------------------------------------------------------------------------
+
+
+def _end_json(end: End) -> dict[str, Any]:
+    return {
+        "node": end.node,
+        "pid": end.pid,
+        "computer": end.computer,
+        "types": list(end.types),
+        "hashes": list(end.hashes),
+        "endpoint": end.endpoint or None,
+    }
+
+
+def _topic_json(graph: Graph, info: TopicInfo) -> dict[str, Any]:
+    ends = (*info.publishers, *info.subscribers)
+    return {
+        "name": info.name,
+        "types": info.types,
+        "schemas": {
+            digest: {"name": graph.schemas[digest].name, "types": graph.schemas[digest].types}
+            for digest in sorted({digest for end in ends for digest in end.hashes})
+        },
+        "publishers": [_end_json(end) for end in info.publishers],
+        "subscribers": [_end_json(end) for end in info.subscribers],
+    }
+
+
+def _service_json(graph: Graph, info: ServiceInfo) -> dict[str, Any]:
+    ends = (*info.servers, *info.clients)
+    return {
+        "name": info.name,
+        "schemas": {
+            digest: {"name": graph.schemas[digest].name, "types": graph.schemas[digest].types}
+            for digest in sorted({digest for end in ends for digest in end.hashes})
+        },
+        "servers": [_end_json(end) for end in info.servers],
+        "clients": [_end_json(end) for end in info.clients],
+    }
+
+
+def _print_json(content: Any, one_line: bool = False) -> None:
+    print(json.dumps(content, indent=None if one_line else 2, allow_nan=False), flush=True)
+
+
+def _print_message(received: Received[Message], as_json: bool) -> None:
+    fields = to_builtins(received.message)
+    if as_json:
+        envelope = {
+            "type": type(received.message).__name__,
+            "origin": received.origin,
+            "sequence": received.sequence,
+            "stamp": received.stamp,
+        }
+        _print_json(envelope | {"message": fields}, one_line=True)
+        return
+    print(
+        f"--- {type(received.message).__name__} {received.sequence} of {received.origin}, "
+        f"stamp {received.stamp / 1e9:.6f}"
+    )
+    print("\n".join(_lines(fields)), flush=True)
+
+
+def _lines(value: Any, indent: str = "") -> Iterator[str]:
+    """A message as YAML-like lines: flat lists in one line, six digits a number."""
+    for name, field in value.items():
+        if isinstance(field, dict):
+            yield f"{indent}{name}:"
+            yield from _lines(field, indent + "  ")
+        elif isinstance(field, list) and any(isinstance(element, dict) for element in field):
+            yield f"{indent}{name}:"
+            for index, element in enumerate(field):
+                yield f"{indent}  [{index}]"
+                yield from _lines(element, indent + "    ")
+        elif isinstance(field, list):
+            yield f"{indent}{name}: [{', '.join(_number(element) for element in field)}]"
+        else:
+            yield f"{indent}{name}: {_number(field)}"
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return "nan"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _bytes(count: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if count < 1000.0:
+            return f"{count:.1f} {unit}"
+        count /= 1000.0
+    return f"{count:.1f} GB"
+
+
+def _print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+    widths = [max(len(row[column]) for row in (header, *rows)) for column in range(len(header))]
+    for row in (header, *rows):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def main() -> int:
+    """Run the verbs on their own: 0 done, 1 with one line on stderr, 2 wrong usage."""
+    try:
+        app(prog_name="bifrost")
+    except Error as error:
+        print(f"bifrost: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

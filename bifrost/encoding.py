@@ -1,0 +1,132 @@
+"""Encoding and decoding a message type, with every check that the bytes themselves do not make."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable
+from functools import cache
+from typing import Any, Generic
+
+import numpy as np
+
+from bifrost.messages import ENCODER, FLOAT64, UINT8, Float64Array, M, Message, Uint8Array, decoder
+from bifrost.schema import list_type, optional_type, schema_of
+
+_Check = Callable[[Any, str], None]
+
+
+class Codec(Generic[M]):
+    """Encodes and decodes one message type.
+
+    Attributes:
+        type: the class.
+        name: of the class.
+        schema: what it looks like.
+        hash: eight bytes that stand for the schema on the wire.
+        decode: bytes to a message; raises ``ValueError`` or its kin on what is not exactly one of the type.
+    """
+
+    def __init__(self, message_type: type[M]) -> None:
+        self.type = message_type
+        self.name = message_type.__name__
+        self.schema = schema_of(message_type)
+        self.hash = self.schema.digest()
+        self.decode: Callable[[bytes | memoryview], M] = decoder(message_type).decode
+        self._check = _message_check(message_type)
+
+    def encode(self, message: M) -> bytes:
+        """The message as bytes.
+
+        Raises:
+            TypeError: an array field does not hold an array of its type; names it.
+        """
+        if self._check is not None:
+            self._check(message, self.name)
+        return ENCODER.encode(message)
+
+
+@cache
+def _cached(message_type: type[Message]) -> Codec[Any]:
+    return Codec(message_type)
+
+
+def codec(message_type: type[M]) -> Codec[M]:
+    """The codec of a message type; made once a type."""
+    return typing.cast("Codec[M]", _cached(message_type))
+
+
+# On the wire an array is bytes: one of another element type would be misread, not refused. Therefore the sender looks.
+# A check is a function of the value and of its name, made once a type; None where there is nothing to look at.
+
+
+def _message_check(message_type: type[Message]) -> _Check | None:
+    hints = typing.get_type_hints(message_type)
+    checks: list[tuple[str, _Check]] = []
+    arrays: list[tuple[str, np.dtype[Any], _Check]] = []
+    for field in message_type.__struct_fields__:
+        check = _field_check(hints[field])
+        if hints[field] == Float64Array and check:
+            arrays.append((field, FLOAT64, check))
+        elif hints[field] == Uint8Array and check:
+            arrays.append((field, UINT8, check))
+        elif check:
+            checks.append((field, check))
+    if not arrays and not checks:
+        return None
+
+    def check_message(message: Any, name: str) -> None:
+        for field, dtype, complain in arrays:
+            value = getattr(message, field)
+            # The common case in two comparisons: this runs for every message of a control loop.
+            if type(value) is not np.ndarray or value.dtype is not dtype or value.ndim != 1:
+                complain(value, f"{name}.{field}")
+        for field, check in checks:
+            check(getattr(message, field), f"{name}.{field}")
+
+    return check_message
+
+
+def _field_check(annotation: Any) -> _Check | None:
+    if isinstance(annotation, type) and issubclass(annotation, Message):
+        return _message_check(annotation)
+    if annotation == Float64Array:
+        return _array_check(FLOAT64)
+    if annotation == Uint8Array:
+        return _array_check(UINT8)
+    if (inner := list_type(annotation)) is not None:
+        return _list_check(_field_check(inner))
+    if (inner := optional_type(annotation)) is not None:
+        return _optional_check(_field_check(inner))
+    return None
+
+
+def _array_check(dtype: np.dtype[Any]) -> _Check:
+    def check_array(value: Any, name: str) -> None:
+        if isinstance(value, np.ndarray) and value.dtype == dtype and value.ndim == 1:
+            return
+        what = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise TypeError(f"{name}: expected a one-dimensional {dtype.name} array, got {what}")
+
+    return check_array
+
+
+def _list_check(check: _Check | None) -> _Check | None:
+    if check is None:
+        return None
+
+    def check_list(values: Any, name: str) -> None:
+        for index, value in enumerate(values):
+            check(value, f"{name}[{index}]")
+
+    return check_list
+
+
+def _optional_check(check: _Check | None) -> _Check | None:
+    if check is None:
+        return None
+
+    def check_optional(value: Any, name: str) -> None:
+        if value is not None:
+            check(value, name)
+
+    return check_optional
