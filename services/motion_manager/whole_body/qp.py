@@ -85,9 +85,12 @@ class ContactForceQp:
             if (values <= upper).all() and (values >= lower).all():
                 status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
                 return Solution(acceleration, rho, torque, status, joined)
-            broken = ~((values <= upper) & (values >= lower))
-            if broken[joined].any() or not np.isfinite(values).all():
+            if not np.isfinite(values).all():
                 raise NotSolvable("the solution is not finite")
+            broken = (values > upper) | (values < lower)
+            broken[joined] = False  # what is left there is round-off
+            if not broken.any():
+                return Solution(acceleration, rho, torque, QpStatus.LIMITED, joined)
             joined = np.concatenate((joined, np.flatnonzero(broken)))
         raise NotSolvable(f"limits of joints kept breaking after {ROUNDS} rounds")
 
