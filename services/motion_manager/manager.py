@@ -135,7 +135,7 @@ class MotionManager:
         not_prepared = "stand_prep has just begun"
         if self._locomotion is Locomotion.STAND_PREP:
             not_prepared = self._posture.not_arrived(self._time * 1e-9, state.joint_velocity)
-        return Conditions(not_prepared, self._not_loaded(state), self._falling or self._not_upright(state))
+        return Conditions(not_prepared, self._not_loaded(state), self._not_upright(state) or self._falling)
 
     def out_of_control(self) -> str:
         """Why there is no robot to change the behavior of; an empty text: there is one."""

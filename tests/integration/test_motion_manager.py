@@ -1,0 +1,384 @@
+"""The Motion System as it runs: bifrostd, Comms Manager and Motion Manager as processes, and a client beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motion_manager.behaviors import Behavior
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from valor_common.messages import (
+    BehaviorReply,
+    BehaviorRequest,
+    Footstep,
+    FootstepPlanReply,
+    FootstepPlanRequest,
+    GroundTruth,
+    JointMode,
+    JointSetpoints,
+    MotionState,
+    Motor,
+    PushReply,
+    PushRequest,
+    Rejection,
+    Statistics,
+)
+from valor_common.robot import RobotDescription
+from valor_common.topics import (
+    BEHAVIOR,
+    FOOTSTEP_PLAN,
+    GROUND_TRUTH,
+    JOINT_SETPOINTS,
+    MOTION_STATE,
+    MOTOR,
+    PUSH,
+    REJECTION,
+    STATISTICS,
+)
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+ARM = ROBOT.tables.groups["right_arm"]
+ARM_PLACES = ROBOT.group_indices("right_arm")
+FORWARD = np.array([ROBOT.tables.arm_presets["forward"]["right"][name] for name in ARM])
+STANDING = 0.7  # the pelvis of a standing robot is higher [m]
+
+
+class MotionSystem:
+    """Comms Manager and Motion Manager of an instance, and what a client can see of them and ask for."""
+
+    def __init__(self, instance: RunningInstance, *, env: dict[str, str] | None = None) -> None:
+        self.instance = instance
+        node = instance.node()
+        self._states = node.subscriber(MOTION_STATE.name, MotionState, queue=20_000)
+        self._truth = node.subscriber(GROUND_TRUTH.name, GroundTruth)
+        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=1000)
+        self._statistics = node.subscriber(STATISTICS["motion_manager"].name, Statistics)
+        self.motors = node.subscriber(MOTOR.name, Motor)
+        self._setpoints = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+        self._behavior = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self._footsteps = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
+        self._push = node.client(PUSH.name, PushRequest, PushReply)
+        self.history: list[MotionState] = []
+        self.rejections: list[Rejection] = []
+        self._height: float | None = None
+        instance.start("comms_manager", env=env)
+        instance.start("motion_manager", env=env)
+        instance.wait_ready("motion_manager")
+
+    def look(self) -> MotionState | None:
+        """The newest MotionState; all are kept in ``history``."""
+        self.history += [received.message for received in self._states.drain()]
+        self.rejections += [received.message for received in self._rejections.drain()]
+        if (truth := self._truth.latest()) is not None:
+            self._height = float(truth.message.pelvis_position_in_world[2])
+        return self.history[-1] if self.history else None
+
+    @property
+    def height(self) -> float:
+        """Of the true pelvis [m]."""
+        self.look()
+        return wait_until(lambda: self.look() and self._height, 10.0, "the simulator's truth") or 0.0
+
+    @property
+    def statistics(self) -> Statistics:
+        return wait_until(self._statistics.latest, 10.0, "statistics of the Motion Manager").message
+
+    def wait(self, condition: Callable[[MotionState], bool], what: str, timeout: float = 60.0) -> MotionState:
+        def seen() -> MotionState | None:
+            state = self.look()
+            return state if state is not None and condition(state) else None
+
+        state = wait_until(seen, timeout, what)
+        assert state is not None
+        return state
+
+    def wait_behavior(self, behavior: Behavior, timeout: float = 60.0) -> MotionState:
+        return self.wait(lambda state: state.behavior == behavior, f"behavior {behavior}", timeout)
+
+    def pass_time(self, seconds: float) -> MotionState:
+        """Let robot time pass [s]."""
+        until = self.now() + round(seconds * 1e9)
+        return self.wait(lambda state: state.time >= until, f"{seconds} s of robot time")
+
+    def now(self) -> int:
+        """Robot time [ns]."""
+        state = self.look()
+        return 0 if state is None else state.time
+
+    def request(self, behavior: str) -> BehaviorReply:
+        return self._behavior.call(BehaviorRequest(behavior=behavior), timeout=10.0)
+
+    def go(self, behavior: Behavior) -> MotionState:
+        """Ask until it is accepted: Stand is, once Stand Prep has finished."""
+        wait_until(lambda: self.request(behavior).accepted, 60.0, f"{behavior} accepted", period=0.1)
+        return self.wait_behavior(behavior)
+
+    def stand(self) -> MotionState:
+        return self.go(Behavior.STAND)
+
+    def send(self, setpoints: Mapping[str, float], age: float = 0.0, **changes: object) -> None:
+        """One message of set-points, as of now."""
+        message = JointSetpoints(
+            time=self.now() - round(age * 1e9),
+            names=list(setpoints),
+            position=np.array(list(setpoints.values()), dtype=float),
+            velocity=np.zeros(len(setpoints)),
+            acceleration=np.zeros(len(setpoints)),
+        )
+        for name, value in changes.items():
+            setattr(message, name, value)
+        self._setpoints.publish(message)
+
+    def lead(self, setpoints: Mapping[str, float], until: Callable[[MotionState], bool], what: str) -> MotionState:
+        """Stream set-points until something is so."""
+
+        def step() -> MotionState | None:
+            self.send(setpoints)
+            state = self.look()
+            return state if state is not None and until(state) else None
+
+        state = wait_until(step, 60.0, what, period=0.004)
+        assert state is not None
+        return state
+
+    def refused(self, reason: str, **message: object) -> None:
+        """Send set-points again and again until they are seen to be refused for a reason."""
+
+        def step() -> bool:
+            self.send(message.get("setpoints", {"neck_yaw": 0.1}), **message.get("changes", {}))  # type: ignore[arg-type]
+            self.look()
+            return any(reason in rejection.reason for rejection in self.rejections)
+
+        wait_until(step, 20.0, f"a rejection with {reason!r}; seen: {[r.reason for r in self.rejections]}")
+
+    def push(self, impulse: tuple[float, float, float]) -> None:
+        reply = self._push.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
+        assert reply.accepted, reply.reason
+
+    def behaviors(self) -> list[str]:
+        """Every behavior seen, in order."""
+        self.look()
+        seen: list[str] = []
+        for state in self.history:
+            if not seen or seen[-1] != state.behavior:
+                seen.append(state.behavior)
+        return seen
+
+
+def largest_steps(history: list[MotionState], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Greatest change of the commanded positions per second of robot time, between consecutive states."""
+    time = np.array([state.time for state in history]) * 1e-9
+    position = np.array([state.joint_setpoint[places] for state in history])
+    elapsed = np.diff(time)[:, None]
+    consecutive = (elapsed > 0.0)[:, 0]
+    return elapsed[consecutive], np.abs(np.diff(position, axis=0))[consecutive]
+
+
+def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    system.pass_time(1.0)
+    system.go(Behavior.STAND_MANIPULATE)
+    held = system.pass_time(0.5).joint_setpoint[ARM_PLACES]
+    assert np.allclose(held, ROBOT.nominal_posture[ARM_PLACES], atol=0.03)  # nobody led them yet
+    arrived = system.lead(
+        dict(zip(ARM, FORWARD, strict=True)),
+        lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], FORWARD, atol=0.05)),
+        "the right arm forward",
+    )
+    assert arrived.behavior == Behavior.STAND_MANIPULATE
+    system.go(Behavior.STAND)
+    system.wait(
+        lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], ROBOT.nominal_posture[ARM_PLACES], atol=0.05)),
+        "the right arm at home",
+    )
+    assert system.height > STANDING
+    assert system.behaviors()[-3:] == ["stand", "stand_manipulate", "stand"]
+    assert not any(state.qp_failures for state in system.history)
+    arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm")))
+    elapsed, steps = largest_steps(system.history, arms)
+    assert (steps <= ROBOT.velocity_limit[arms] * elapsed * 1.05 + 1e-6).all()
+    sequences = [state.proprioceptor_sequence for state in system.history]
+    assert sequences == sorted(sequences)
+
+
+def test_stand_prep_answers_why_stand_is_refused(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    refusals = []
+
+    def accepted() -> bool:
+        reply = system.request("stand")
+        if not reply.accepted:
+            assert reply.behavior == Behavior.STAND_PREP
+            refusals.append(reply.reason)
+        return reply.accepted
+
+    wait_until(accepted, 60.0, "stand accepted")
+    assert refusals
+    assert all("stand_prep" in reason or "foot" in reason for reason in refusals), refusals
+
+
+@pytest.mark.parametrize("behavior", ["step", "walk", "step_manipulate", "walk_manipulate", "get_up"])
+def test_what_this_build_cannot_do_is_refused_by_name(instance: RunningInstance, behavior: str) -> None:
+    system = MotionSystem(instance)
+    reply = system.request(behavior)
+    assert not reply.accepted
+    assert "is not available: " in reply.reason
+    assert reply.behavior == Behavior.STAND_PREP
+
+
+def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    assert "unknown behavior 'moonwalk'; expected one of idle, stand_prep" in system.request("moonwalk").reason
+    system.stand()
+    assert "no transition from stand to idle" in system.request("idle").reason
+    before = system.pass_time(1.0).joint_setpoint
+    arm = dict.fromkeys(ARM, 0.0)
+    system.refused("closed to set-points in behavior stand: manipulation is slave", setpoints=arm)
+    system.refused("they carry the robot", setpoints={"l_knee_pitch": 1.0})
+    system.refused("unknown joint 'tail'", setpoints={"tail": 1.0})
+    system.refused("is nan, not a finite number", setpoints={"neck_yaw": np.nan})
+    system.refused("position has 3 numbers", changes={"position": np.zeros(3)})
+    system.refused("stale", changes={"age": 1.0})
+    reply = system._footsteps.call(
+        FootstepPlanRequest(steps=[Footstep(1, 0, np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, 0.0, 0.0)]), timeout=10.0
+    )
+    assert not reply.accepted
+    assert "step_manipulate; the behavior is stand, and stepping is not available" in reply.reason
+    after = system.pass_time(0.5)
+    assert after.behavior == Behavior.STAND
+    arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")))
+    assert np.allclose(after.joint_setpoint[arms], before[arms], atol=0.02)
+    assert system.height > STANDING
+    refused = {rejection.topic: rejection.count for rejection in system.rejections}
+    assert set(refused) == {BEHAVIOR.name, JOINT_SETPOINTS.name, FOOTSTEP_PLAN.name}
+    assert system.statistics.rejected >= sum(refused.values())
+
+
+def test_pushed_over_the_robot_goes_limp_and_stays_fallen(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    system.pass_time(1.0)
+    system.push((0.0, 80.0, 0.0))
+    fallen = system.wait_behavior(Behavior.FALL)
+    assert "limit" in fallen.reason
+    system.pass_time(3.0)
+    assert system.height < 0.5
+    motor = wait_until(system.motors.latest, 10.0, "a Motor").message
+    assert not motor.effort.any()
+    assert not motor.stiffness.any()
+    assert set(motor.mode) <= {JointMode.FORCE, JointMode.OFF}
+    for behavior in ("stand", "stand_prep", "stand_manipulate", "idle"):
+        assert not system.request(behavior).accepted
+    assert "there is no get-up routine" in system.request("get_up").reason
+    assert system.pass_time(0.1).reason == fallen.reason  # still the same
+    # Lying on the floor it can be frozen and prepared, and never stands.
+    system.go(Behavior.FREEZE)
+    system.go(Behavior.STAND_PREP)
+
+    def prepared() -> BehaviorReply | None:
+        reply = system.request("stand")
+        return None if "to go" in reply.reason or "begun" in reply.reason else reply
+
+    reply = wait_until(prepared, 60.0, "Stand Prep done", period=0.1)
+    assert reply is not None
+    assert not reply.accepted
+    assert any(word in reply.reason for word in ("tilted", "foot", "above the soles", "settled")), reply.reason
+
+
+def test_soft_stop_keeps_balance_and_closes_the_interfaces(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    system.go(Behavior.STAND_MANIPULATE)
+    system.lead(dict(zip(ARM, FORWARD, strict=True)), lambda s: s.joint_setpoint[ARM_PLACES[0]] < 0.1, "an arm moved")
+    system.go(Behavior.SOFT_STOP)
+    held = system.pass_time(1.0).joint_setpoint[ARM_PLACES]
+    system.refused("soft_stop: attention is locked", setpoints={"neck_yaw": 0.1})
+    system.refused("soft_stop: manipulation is locked", setpoints=dict(zip(ARM, FORWARD, strict=True)))
+    assert np.allclose(system.pass_time(1.0).joint_setpoint[ARM_PLACES], held, atol=0.02)
+    assert system.height > STANDING
+    system.go(Behavior.STAND)
+    system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+@pytest.mark.parametrize("posture", [Behavior.STAND_PREP, Behavior.FREEZE])
+def test_a_standing_robot_is_handed_to_its_servos_without_a_fall_and_back(
+    instance: RunningInstance, posture: Behavior
+) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    height = system.pass_time(2.0).pelvis_position_in_odom[2]
+    system.go(posture)
+    begun = len(system.history)
+    system.pass_time(0.3)
+    lowest = min(state.pelvis_position_in_odom[2] for state in system.history[begun:])
+    assert lowest > height - 0.01
+    system.go(Behavior.STAND_PREP)
+    system.stand()
+    system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+def test_a_killed_comms_manager_is_a_fall_with_its_reason(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    instance.kill("comms_manager")
+    instance.start("comms_manager")
+    fallen = system.wait_behavior(Behavior.FALL)
+    assert "another world" in fallen.reason
+    assert not system.request("stand").accepted
+
+
+def test_a_comms_manager_killed_in_stand_prep_begins_stand_prep_anew(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    system.pass_time(0.5)
+    instance.kill("comms_manager")
+    wait_until(lambda: "silent" in system.request("get_up").reason, 20.0, "requests answered: no robot")
+    instance.start("comms_manager")
+    system.stand()
+    system.pass_time(0.5)
+    assert system.height > STANDING
+
+
+def test_a_killed_motion_manager_finds_the_robot_standing_and_stands_it_again(instance: RunningInstance) -> None:
+    instance.configure(real_time_factor=1.0)  # the robot lives on while the Motion Manager starts
+    system = MotionSystem(instance)
+    system.stand()
+    system.pass_time(1.0)
+    instance.kill("motion_manager")
+    instance.start("motion_manager", wait=True)
+    assert system.wait_behavior(Behavior.STAND_PREP).reason == "first Proprioceptor"
+    assert system.height > STANDING
+    system.stand()
+    system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+def test_the_motion_system_runs_where_ros_cannot_be_imported(instance: RunningInstance, tmp_path: Path) -> None:
+    marker = tmp_path / "blocked"
+    (tmp_path / "sitecustomize.py").write_text(
+        "import pathlib, os, sys\n"
+        "ROS = {'rclpy', 'rosidl_runtime_py', 'std_msgs', 'sensor_msgs', 'builtin_interfaces', 'ament_index_python'}\n"
+        "class Blocker:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.split('.')[0] in ROS:\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}: ROS is not installed here')\n"
+        "sys.meta_path.insert(0, Blocker())\n"
+        f"pathlib.Path({str(marker)!r} + f'-{{os.getpid()}}').touch()\n"
+    )
+    system = MotionSystem(instance, env={"PYTHONPATH": str(tmp_path)})
+    for name in ("comms_manager", "motion_manager"):
+        assert Path(f"{marker}-{instance.process(name).pid}").exists(), f"{name} ran without the blocker"
+    system.stand()
+    system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+def test_it_stops_at_once_when_told(instance: RunningInstance) -> None:
+    MotionSystem(instance)
+    assert instance.stop("motion_manager") == 0
+    assert "Traceback" not in instance.log("motion_manager")
