@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from valor_common.errors import ValorError
+from valor_common.instance import Instance
 from valorctl.app import app
 from valorctl.console import complain
 from valorctl.interruption import InterruptedBySignalError
@@ -30,7 +31,7 @@ def main() -> int:
     except Exception as error:
         # Bifrost takes long to import: whatever it raised, it has been imported.
         if (bifrost := sys.modules.get("bifrost")) and isinstance(error, bifrost.Error):
-            complain(str(error))
+            complain(str(error) if Instance.from_environment().settings_file.exists() else f"not up: {error}")
             return EXIT_FAILURE
         raise
     return 0

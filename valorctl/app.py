@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from valorctl.verbs import demonstration, diagnosis, lifecycle, motion, observation
+from valorctl.verbs import bags, demonstration, diagnosis, lifecycle, motion, observation
 
 # Verbs of Bifrost itself; loaded when used.
 _MOUNTED = ("topic", "service")
@@ -42,7 +41,7 @@ class _Verbs(TyperGroup):
         return super().parse_args(ctx, hoist_instance(args))
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return [*super().list_commands(ctx), *(name for name in _MOUNTED if find_spec("bifrost.cli"))]
+        return [*super().list_commands(ctx), *_MOUNTED]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name in _MOUNTED:
@@ -61,7 +60,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
 )
-for _group in (lifecycle, observation, motion, demonstration, diagnosis):
+for _group in (lifecycle, observation, motion, bags, demonstration, diagnosis):
     _group.register(app)
 
 

@@ -115,7 +115,7 @@ def _follow(
     from control_msgs.action import FollowJointTrajectory
     from trajectory_msgs.msg import JointTrajectoryPoint
 
-    from valorctl.ros_client import RosClient
+    from valorctl.ros_client import GoalRefusedError, RosClient
 
     message = FollowJointTrajectory.Goal()
     message.trajectory.joint_names = list(goal)
@@ -130,7 +130,10 @@ def _follow(
     ]
     action = f"/trajectory_controllers/{side}_arm_traj_controller/follow_joint_trajectory"
     with RosClient(instance, check) as ros:
-        result = ros.call_action(FollowJointTrajectory, action, message, duration / _SLOWEST_CLOCK + _RESULT_MARGIN)
+        try:
+            result = ros.call_action(FollowJointTrajectory, action, message, duration / _SLOWEST_CLOCK + _RESULT_MARGIN)
+        except GoalRefusedError:
+            raise GoalRefusedError(f"{ros.diagnosis('last trajectory refused') or action} (goal refused)") from None
     if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
         raise ValorError(f"{side}_arm_traj_controller: error {result.error_code}: {result.error_string}")
 

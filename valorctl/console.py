@@ -6,7 +6,10 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def say(text: str) -> None:
@@ -22,6 +25,13 @@ def complain(text: str) -> None:
 def say_json(content: Any) -> None:
     """An object on stdout."""
     say(json.dumps(content, indent=2))
+
+
+def rich_console() -> Console:
+    """For tables and colours: never wraps text, and is as wide as it takes where no terminal sets a width."""
+    from rich.console import Console
+
+    return Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 200)
 
 
 class Progress:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 
 import bifrost
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.messages import ControlModeReport, MotionState
-from valor_common.topics import CONTROL_MODE, MOTION_STATE
+from valor_common.messages import ControlModeReport
+from valor_common.topics import CONTROL_MODE
 
 ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
 CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
@@ -50,7 +50,7 @@ class ModeChange:
     current: str
     status: int
     latency: float  # from the goal sent to its result [s]
-    reason: str  # the Motion Manager's, when it was refused; empty: none known
+    reason: str  # why it was refused; empty: not known
 
     @property
     def reached(self) -> bool:
@@ -62,10 +62,10 @@ class ModeChange:
         """One line."""
         flags = ", ".join(flag_names(self.status)) or "no flags"
         if self.reached:
-            word = "is already" if self.status & Flag.MODE_DUPLICATE else "accepted: control mode is"
+            word = "control mode was already" if self.status & Flag.MODE_DUPLICATE else "accepted: control mode is"
             return f"{word} {self.current} ({flags}; {self.latency * 1e3:.0f} ms)"
-        because = f"; {self.reason}" if self.reason else ""
-        return f"control mode {self.requested} refused ({flags}); stays in {self.current or 'no mode'}{because}"
+        because = f": {self.reason}" if self.reason else ""
+        return f"control mode {self.requested} refused ({flags}){because}; it is {self.current or 'none'}"
 
 
 def report(instance: Instance) -> ControlModeReport:
@@ -101,19 +101,9 @@ def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: No
         began = time.monotonic()
         result = ros.call_action(ChangeControlMode, ACTION, ChangeControlMode.Goal(mode_request=mode), CHANGE_TIMEOUT)
         latency = time.monotonic() - began
-    status = result.result
-    made = ModeChange(mode, status.current_control_mode, status.status, latency, "")
-    if made.reached:
-        return made
-    return ModeChange(mode, made.current, made.status, latency, _motion_managers_reason(instance))
-
-
-def _motion_managers_reason(instance: Instance) -> str:
-    """What the Motion Manager last changed its behavior for."""
-    network = bifrost.Network.load(instance.network_file, instance.keys)
-    with bifrost.Node("valorctl", network=network) as node:
-        received = node.subscriber(MOTION_STATE.name, MotionState).receive(timeout=0.5)
-    if received is None:
-        return "motion_manager is silent"
-    state: MotionState = received.message
-    return f"behavior {state.behavior}" + (f": {state.reason}" if state.reason else "")
+        status = result.result
+        made = ModeChange(mode, status.current_control_mode, status.status, latency, "")
+        if made.reached:
+            return made
+        refused, _, reason = ros.diagnosis("last control mode refused").partition(": ")
+    return replace(made, reason=reason if refused == mode else "")

@@ -89,12 +89,14 @@ def _draw(bag: Path, robot: RobotDescription, out: Path, progress: Progress, int
     """Pictures and plots from the bag alone."""
     os.environ.setdefault("MUJOCO_GL", "egl")
     from valor_analysis import pictures, plots
+    from valor_analysis.bag import Bag
 
     made: list[Path] = []
     progress.waiting("drawing the robot before and after")
-    made += pictures.render_before_after(bag, robot, out)
+    recording = Bag.of(bag)
+    made += pictures.render_before_after(recording, robot, out)
     interruption.check()
     progress.waiting("plotting how well the joints followed")
-    made += plots.joint_tracking(bag, robot, GROUPS, out)
+    made += plots.joint_tracking(recording, robot, GROUPS, out)
     interruption.check()
     return made

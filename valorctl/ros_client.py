@@ -23,6 +23,8 @@ from valor_common.instance import Instance
 _SERVER_TIMEOUT = 10.0  # until an action server is discovered [s]
 _RESPONSE_TIMEOUT = 5.0  # until it accepts or refuses a goal [s]
 _CANCEL_TIMEOUT = 2.0  # until it acknowledges that a goal is cancelled [s]
+_DIAGNOSTICS_AGE = 0.5  # at most, of what they tell when they come [s]
+_DIAGNOSTICS_TIMEOUT = 3.0  # they come once a second [s]
 
 
 class GoalRefusedError(ValorError):
@@ -99,6 +101,27 @@ class RosClient:
             return finishing.result().result
         finally:
             client.destroy()
+
+    def diagnosis(self, key: str) -> str:
+        """What the VRC's diagnostics say now under a key; empty when they do not come."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        told: list[str] = []
+        began = time.monotonic()
+
+        def hear(message: DiagnosticArray) -> None:
+            # What is sent first may be older than what we want to know.
+            if time.monotonic() - began > _DIAGNOSTICS_AGE:
+                told.extend(pair.value for status in message.status for pair in status.values if pair.key == key)
+
+        subscription = self._node.create_subscription(DiagnosticArray, "/diagnostics", hear, 1)
+        try:
+            self._spin(lambda: bool(told), _DIAGNOSTICS_TIMEOUT, "")
+        except ValorError:
+            return ""
+        finally:
+            self._node.destroy_subscription(subscription)
+        return told[0]
 
     def _cancel(self, handle: Any) -> None:
         cancelling = handle.cancel_goal_async()

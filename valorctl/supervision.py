@@ -185,7 +185,7 @@ def launch(
     with open(output, "wb") as out:
         child = subprocess.Popen(
             [sys.executable, "-m", "supervisor.supervisord", "-c", str(config)],
-            cwd=instance.folder,
+            cwd=instance.logs,  # where libraries, MuJoCo for one, leave their own logs
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=out,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from valor_common.instance import Instance
-from valorctl.console import say_json
+from valorctl.console import rich_console, say_json
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -20,15 +20,13 @@ def register(app: typer.Typer) -> None:
 
 def doctor(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
     """Look at this computer and the instance for what is known to go wrong, and say what to do about it."""
-    from rich.console import Console
-
     from valorctl.checks import run_all
 
     findings = run_all(Instance.from_environment())
     if json:
         say_json([asdict(finding) for finding in findings])
     else:
-        console = Console(highlight=False, soft_wrap=True)
+        console = rich_console()
         for finding in findings:
             console.print(f"[{_COLOURS[finding.level]}]{finding.level:4}[/] {finding.check:10} ", end="")
             console.print(finding.text, markup=False)

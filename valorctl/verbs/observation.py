@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from valor_common.instance import Instance
-from valorctl.console import say, say_json
+from valorctl.console import rich_console, say, say_json
 
 if TYPE_CHECKING:
     from valorctl.status import Status
@@ -34,14 +34,13 @@ def status(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = Fals
 
 
 def _show(status: Status) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     settings, clock = status.settings, status.clock
     time = clock.mode if clock else settings.clock
     if clock:
         time += f", {clock.real_time_factor:.2f} × real time, slip {clock.slip:.2f} s"
-    console = Console(highlight=False, soft_wrap=True)
+    console = rich_console()
     console.print(
         f"[bold]{status.instance}[/]: {settings.robot.name}, profile {settings.profile}, {time}\n"
         f"control mode [bold]{status.control_mode or '?'}[/], behavior [bold]{status.behavior or '?'}[/]"
