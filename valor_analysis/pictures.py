@@ -52,9 +52,7 @@ def render_before_after(
     figure = style.figure(2 * width / _DPI, (height + _HEADER) / _DPI, _DPI)
     share = height / (height + _HEADER)
     for i, (image, label, posture) in enumerate(zip(images, ("before", "after"), (before, after), strict=True)):
-        axes = figure.add_axes((i / 2, 0.0, 0.5, share))
-        axes.imshow(image, interpolation="none", aspect="auto")
-        axes.set_axis_off()
+        figure.figimage(image, xo=i * width, yo=0, origin="upper")  # pixel for pixel
         middle, top = (i + 0.5) / 2, share + (1.0 - share) * 0.66
         figure.text(middle, top, label, ha="center", va="center", fontsize=19, color=style.INK, weight="bold")
         text = _caption(posture, before, recording)
