@@ -1,0 +1,161 @@
+"""The law of each joint mode, and what an actuator profile makes of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from comms_manager.simulation.actuators import Actuators
+from valor_common.messages import JointMode, Motor
+from valor_common.robot import ActuatorProfile, RobotDescription
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+N = len(ROBOT.joints)
+STEP = 0.001
+IDEAL = ActuatorProfile()
+Vector = npt.NDArray[np.float64]
+REST = np.zeros(N)
+
+
+def motor(mode: JointMode | npt.NDArray[np.uint8], sequence: int = 1, **fields: float | Vector) -> Motor:
+    """A Motor; scalars stand for all joints, fields not named are 0."""
+    names = ("position", "velocity", "effort", "stiffness", "damping")
+    vectors = {name: np.broadcast_to(np.asarray(fields.get(name, 0.0), float), N).copy() for name in names}
+    modes = np.broadcast_to(np.asarray(mode, np.uint8), N).copy()
+    return Motor(time=0, sequence=sequence, proprioceptor_sequence=1, mode=modes, **vectors)
+
+
+def effort(command: Motor, position: Vector, velocity: Vector, profile: ActuatorProfile = IDEAL) -> Vector:
+    """What acts in the first step after a command."""
+    actuators = Actuators(ROBOT, profile, STEP)
+    actuators.obey(command)
+    return actuators.update(position, velocity).copy()
+
+
+def test_off_gives_nothing() -> None:
+    command = motor(JointMode.OFF, position=1.0, velocity=1.0, effort=9.0, stiffness=9.0, damping=9.0)
+    np.testing.assert_array_equal(effort(command, REST + 0.1, REST + 0.1), 0.0)
+
+
+def test_position_is_the_joints_own_servo_with_feed_forward() -> None:
+    command = motor(JointMode.POSITION, position=0.002, velocity=0.01, effort=0.5, stiffness=1e6, damping=1e6)
+    knee = ROBOT.index["l_knee_pitch"]
+    servo = ROBOT.tables.joints["l_knee_pitch"].servo
+    result = effort(command, REST + 0.001, REST + 0.02)
+    assert result[knee] == pytest.approx(0.5 + servo.stiffness * 0.001 - servo.damping * 0.01)
+
+
+def test_impedance_uses_the_commanded_gains() -> None:
+    command = motor(JointMode.IMPEDANCE, position=0.02, velocity=0.1, effort=0.3, stiffness=10.0, damping=2.0)
+    np.testing.assert_allclose(effort(command, REST + 0.01, REST + 0.15), 0.3 + 10 * 0.01 - 2 * 0.05)
+
+
+def test_force_is_effort_damped_against_the_measured_velocity() -> None:
+    command = motor(JointMode.FORCE, position=1.0, velocity=5.0, effort=1.0, stiffness=1e6, damping=2.0)
+    np.testing.assert_allclose(effort(command, REST, REST + 0.1), 1.0 - 0.2)
+
+
+def test_each_joint_has_its_own_mode() -> None:
+    modes = np.zeros(N, dtype=np.uint8)
+    modes[3] = JointMode.FORCE
+    result = effort(motor(modes, effort=1.0), REST, REST)
+    assert result[3] == 1.0
+    assert np.count_nonzero(result) == 1
+
+
+def test_position_set_points_are_clamped_to_the_joints_limits() -> None:
+    knee = ROBOT.index["l_knee_pitch"]
+    at_limit = REST.copy()
+    at_limit[knee] = ROBOT.lower[knee]
+    command = motor(JointMode.IMPEDANCE, position=-1.0, stiffness=10.0)
+    assert effort(command, at_limit, REST)[knee] == 0.0
+
+
+FINITE = st.floats(-1e6, 1e6)
+
+
+@given(
+    arrays(np.uint8, N, elements=st.integers(0, 3)),
+    *(arrays(np.float64, N, elements=FINITE) for _ in range(3)),
+    *(arrays(np.float64, N, elements=st.floats(0, 1e6)) for _ in range(2)),
+    *(arrays(np.float64, N, elements=st.floats(-50, 50)) for _ in range(2)),
+    st.sampled_from([IDEAL, ROBOT.tables.actuators["hardware"], ActuatorProfile(backlash=0.01)]),
+)
+@settings(max_examples=60, deadline=None)
+def test_effort_is_always_within_limits(
+    modes: npt.NDArray[np.uint8],
+    position: Vector,
+    velocity: Vector,
+    feed_forward: Vector,
+    stiffness: Vector,
+    damping: Vector,
+    q: Vector,
+    v: Vector,
+    profile: ActuatorProfile,
+) -> None:
+    actuators = Actuators(ROBOT, profile, STEP)
+    actuators.obey(
+        motor(modes, position=position, velocity=velocity, effort=feed_forward, stiffness=stiffness,
+              damping=damping)
+    )  # fmt: skip
+    for _ in range(8):
+        result = actuators.update(q, v)
+        assert (np.abs(result) <= ROBOT.effort_limit * (1 + 1e-12)).all()
+    if profile is IDEAL:
+        fast = np.abs(v) > ROBOT.velocity_limit
+        assert (result[fast] * v[fast] <= 0).all()
+
+
+def test_no_effort_speeds_a_joint_up_beyond_its_velocity_limit() -> None:
+    command = motor(JointMode.FORCE, effort=1.0)
+    fast = ROBOT.velocity_limit * 1.01
+    np.testing.assert_array_equal(effort(command, REST, fast), 0.0)
+    np.testing.assert_array_equal(effort(command, REST, -fast), 1.0)  # braking is allowed
+    np.testing.assert_array_equal(effort(command, REST, ROBOT.velocity_limit * 0.99), 1.0)
+
+
+def test_commands_act_after_the_delay_in_order() -> None:
+    actuators = Actuators(ROBOT, ActuatorProfile(delay=0.004), STEP)
+    seen = []
+    for sequence in range(1, 9):
+        actuators.obey(motor(JointMode.FORCE, sequence=sequence, effort=float(sequence) / 10))
+        seen.append(actuators.update(REST, REST)[0])
+        assert actuators.motor_sequence == max(0, sequence - 4)
+    np.testing.assert_allclose(seen, [0, 0, 0, 0, 0.1, 0.2, 0.3, 0.4])
+
+
+def test_torque_lags_by_its_time_constant() -> None:
+    actuators = Actuators(ROBOT, ActuatorProfile(torque_lag=0.005), STEP)
+    actuators.obey(motor(JointMode.FORCE, effort=1.0))
+    response = [actuators.update(REST, REST)[0] for _ in range(50)]
+    for milliseconds in (1, 5, 20):
+        assert response[milliseconds - 1] == pytest.approx(1 - math.exp(-milliseconds / 5))
+    assert response[-1] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_backlash_is_a_dead_zone_of_its_full_width() -> None:
+    profile = ActuatorProfile(backlash=0.002)
+    command = motor(JointMode.IMPEDANCE, position=0.0, stiffness=10.0)
+    shoulder = ROBOT.index["l_shoulder_pitch"]
+    for error, expected in ((0.0009, 0.0), (-0.0009, 0.0), (0.003, 0.02), (-0.003, -0.02)):
+        assert effort(command, REST - error, REST, profile)[shoulder] == pytest.approx(expected)
+
+
+def test_holding_keeps_the_joints_where_they_are() -> None:
+    actuators = Actuators(ROBOT, IDEAL, STEP)
+    actuators.obey(motor(JointMode.FORCE, sequence=7, effort=5.0))
+    actuators.update(REST, REST)
+    here = ROBOT.nominal_posture
+    actuators.hold(here)
+    np.testing.assert_array_equal(actuators.update(here, REST), 0.0)
+    pulled = actuators.update(here + 0.001, REST + 0.01)
+    expected = -ROBOT.servo_stiffness * 0.001 - ROBOT.servo_damping * 0.01
+    np.testing.assert_allclose(pulled, expected)
+    assert actuators.motor_sequence == 7

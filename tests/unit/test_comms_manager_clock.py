@@ -1,0 +1,110 @@
+"""How robot time is kept to the wall's, with a wall that the test moves."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from comms_manager.simulation.clock import LATE, Pacer, Wall
+
+PERIOD = 0.002
+
+
+class SteppedWall(Wall):
+    """A wall clock that moves when it is slept on, or when the test says so."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+        self.slept = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, duration: float) -> None:
+        assert duration > 0
+        self.slept += duration
+        self.time += duration
+
+
+def test_keeps_an_absolute_schedule() -> None:
+    wall = SteppedWall()
+    pacer = Pacer(1.0, wall)
+    for work in (0.0005, 0.0019, 0.0001, 0.0012) * 100:
+        wall.time += work
+        pacer.pass_time(PERIOD)
+    # The schedule begins with the first call, so that the work before it does not count.
+    assert wall.time - 100.0 == pytest.approx(400 * PERIOD + 0.0005)
+    assert pacer.slip == 0.0
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+def test_robot_time_passes_at_the_rate(rate: float) -> None:
+    wall = SteppedWall()
+    pacer = Pacer(rate, wall)
+    for _ in range(100):
+        pacer.pass_time(PERIOD)
+    assert wall.time - 100.0 == pytest.approx(100 * PERIOD / rate)
+
+
+def test_without_a_rate_nothing_waits() -> None:
+    wall = SteppedWall()
+    pacer = Pacer(0.0, wall)
+    for _ in range(100):
+        assert pacer.pass_time(PERIOD) == 0.0
+    assert wall.slept == 0.0
+    pacer.pass_time(PERIOD, at_least_real_time=True)
+    assert wall.slept == pytest.approx(PERIOD)
+    assert pacer.slip == 0.0
+
+
+def test_a_small_delay_is_made_up() -> None:
+    wall = SteppedWall()
+    pacer = Pacer(1.0, wall)
+    pacer.pass_time(PERIOD)
+    wall.time += PERIOD + 0.9 * LATE
+    assert pacer.pass_time(PERIOD) == 0.0
+    pacer.pass_time(PERIOD)
+    assert wall.time - 100.0 == pytest.approx(3 * PERIOD)
+    assert pacer.slip == 0.0
+
+
+def test_a_stall_is_slip_and_never_replayed() -> None:
+    wall = SteppedWall()
+    pacer = Pacer(1.0, wall)
+    pacer.pass_time(PERIOD)
+    wall.time += 0.3
+    pacer.pass_time(PERIOD)
+    assert pacer.slip == pytest.approx(0.3 - PERIOD)
+    before = wall.time
+    for _ in range(50):
+        assert pacer.pass_time(PERIOD) > 0.0  # every period after it takes its time
+    assert wall.time - before == pytest.approx(50 * PERIOD)
+
+
+@given(st.lists(st.floats(0, 0.02), min_size=1, max_size=200), st.sampled_from([0.5, 1.0, 2.0]))
+def test_robot_time_and_slip_account_for_the_walls_time(work: list[float], rate: float) -> None:
+    """Whatever happens, robot time never runs ahead, and what it lacks is slip or less than what is made up."""
+    wall = SteppedWall()
+    pacer = Pacer(rate, wall)
+    pacer.pass_time(PERIOD)
+    begun = wall.time - PERIOD / rate
+    for index, duration in enumerate(work, start=2):
+        wall.time += duration
+        pacer.pass_time(PERIOD)
+        behind = (wall.time - begun) * rate - index * PERIOD
+        assert -1e-9 <= behind - pacer.slip <= LATE * rate + 1e-9
+
+
+def test_the_wall_sleeps_no_shorter_than_asked_and_seldom_longer() -> None:
+    wall = Wall()
+    overshoots = []
+    for _ in range(200):
+        before = wall.now()
+        wall.sleep(0.001)
+        overshoots.append(wall.now() - before - 0.001)
+    assert min(overshoots) >= -1e-5
+    assert sorted(overshoots)[100] < 0.001, "half of the sleeps take twice as long as asked"
+    assert wall.now() == pytest.approx(time.perf_counter(), abs=1.0)

@@ -1,0 +1,232 @@
+"""The simulated robot: errors from one seed, forces that add up, pushes that push."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from comms_manager.simulation import worlds
+from comms_manager.simulation.plant import Plant, SimulationDivergedError, scene
+from comms_manager.simulation.sensors import Sensors
+from valor_common.errors import ConfigurationError
+from valor_common.messages import JointMode, Motor, Proprioceptor
+from valor_common.model import full_model
+from valor_common.robot import RobotDescription, SensorNoise
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+N = len(ROBOT.joints)
+NOMINAL = full_model(ROBOT)
+GRAVITY = 9.81
+
+
+def plant(profile: str = "ideal", seed: int = 0) -> Plant:
+    return Plant(ROBOT, "flat", profile, seed)
+
+
+def sensors(of: Plant, profile: str = "ideal", seed: int = 0) -> Sensors:
+    return Sensors(ROBOT, of, ROBOT.tables.actuators[profile].noise, seed)
+
+
+def stand(robot: Plant) -> None:
+    """Command the nominal posture on the joints' own servos."""
+    zero = np.zeros(N)
+    modes = np.full(N, JointMode.POSITION, dtype=np.uint8)
+    robot.actuators.obey(
+        Motor(time=0, sequence=1, proprioceptor_sequence=1, mode=modes, position=ROBOT.nominal_posture,
+              velocity=zero, effort=zero, stiffness=zero, damping=zero)
+    )  # fmt: skip
+
+
+def run(profile: str, seed: int, periods: int, look: bool = False) -> list[Proprioceptor]:
+    """Measurements of a standing robot."""
+    robot = plant(profile, seed)
+    devices = sensors(robot, profile, seed)
+    stand(robot)
+    measured = []
+    for k in range(periods):
+        robot.step(2)
+        measured.append(devices.measure(k, k))
+        if look:
+            mujoco.mj_kinematics(robot.model.mj, robot.data)
+            mujoco.mj_comPos(robot.model.mj, robot.data)
+    return measured
+
+
+def test_one_seed_repeats_bit_for_bit_and_another_does_not() -> None:
+    first, again, other = run("hardware", 3, 200), run("hardware", 3, 200), run("hardware", 4, 200)
+    assert first == again
+    assert first != other
+
+
+def test_looking_at_the_truth_changes_nothing() -> None:
+    assert run("hardware", 3, 200) == run("hardware", 3, 200, look=True)
+
+
+def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_the_profile_says() -> None:
+    mj = plant("hardware").model.mj
+    profile = ROBOT.tables.actuators["hardware"]
+    ratios = [mj.body(NOMINAL.mj.body(i).name).mass[0] / NOMINAL.mj.body_mass[i] for i in range(1, NOMINAL.mj.nbody)]
+    assert max(ratios) <= 1 + profile.mass_error
+    assert min(ratios) >= 1 - profile.mass_error
+    assert np.std(ratios) > 0.3 * profile.mass_error
+    robot = plant("hardware")
+    friction = robot.model.mj.dof_frictionloss[robot.model.dof]
+    expected = np.minimum(profile.friction, profile.friction_share * ROBOT.effort_limit)
+    np.testing.assert_array_equal(friction, expected)
+    assert friction[ROBOT.index["l_knee_pitch"]] == profile.friction
+    assert friction[ROBOT.index["l_thumb_roll"]] < 0.1
+
+
+def test_the_ideal_plant_is_the_controllers_model() -> None:
+    mj = plant("ideal").model.mj
+    for i in range(1, NOMINAL.mj.nbody):
+        assert mj.body(NOMINAL.mj.body(i).name).mass[0] == NOMINAL.mj.body_mass[i]
+    assert not mj.dof_frictionloss.any()
+    assert mj.opt.timestep == ROBOT.tables.physics_step
+    assert mj.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
+@pytest.mark.parametrize("profile", ["ideal", "hardware"])
+def test_standing_feet_carry_the_weight_and_the_imu_feels_gravity(profile: str) -> None:
+    measured = run(profile, 0, 1500)[-200:]
+    robot = plant(profile)
+    weight = robot.model.mj.body_mass.sum() * GRAVITY
+    left = np.mean([m.left_foot_wrench for m in measured], axis=0)
+    right = np.mean([m.right_foot_wrench for m in measured], axis=0)
+    np.testing.assert_allclose((left + right)[:3], (0, 0, weight), atol=0.005 * weight)
+    # The CoP of each foot is inside its sole.
+    for wrench, foot in ((left, ROBOT.tables.feet.left), (right, ROBOT.tables.feet.right)):
+        x, y = -wrench[4] / wrench[2], wrench[3] / wrench[2]
+        assert foot.heel < x < foot.toe
+        assert abs(y) < foot.half_width
+    hands = np.mean([np.concatenate((m.left_hand_wrench, m.right_hand_wrench)) for m in measured], axis=0)
+    np.testing.assert_allclose(hands, 0, atol=1.0)
+    gravity = np.mean([m.imu_linear_acceleration for m in measured], axis=0)
+    assert np.linalg.norm(gravity) == pytest.approx(GRAVITY, rel=0.01)
+    assert gravity[2] > 0.99 * np.linalg.norm(gravity)
+
+
+def test_foot_wrenches_balance_the_robots_momentum() -> None:
+    """Newton: through a stumble after a push, feet's forces + weight + push = rate of change of linear momentum."""
+    robot = plant("ideal")
+    devices = sensors(robot)
+    stand(robot)
+    robot.step(1000)
+    data, mass = robot.data, robot.model.mj.body_mass.sum()
+    robot.push(np.array([0.0, 20.0, 0.0]), 0.1)
+    force = 200.0
+    for _ in range(100):
+        com_before = momentum(robot)
+        robot.step(1)
+        acceleration = (momentum(robot) - com_before) / robot.step_time
+        m = devices.measure(1, 1)
+        measured = np.zeros(3)
+        for wrench, sole in ((m.left_foot_wrench, "l_sole"), (m.right_foot_wrench, "r_sole")):
+            measured += data.site(sole).xmat.reshape(3, 3) @ wrench[:3]
+        expected = acceleration - (0.0, force, -mass * GRAVITY)
+        np.testing.assert_allclose(measured, expected, atol=0.01 * mass * GRAVITY)
+
+
+def momentum(robot: Plant) -> np.ndarray:
+    """(3,) linear momentum in world [kg·m/s]."""
+    mj, data = robot.model.mj, robot.data
+    scratch = mujoco.MjData(mj)
+    scratch.qpos[:], scratch.qvel[:] = data.qpos, data.qvel
+    mujoco.mj_fwdPosition(mj, scratch)
+    mujoco.mj_fwdVelocity(mj, scratch)
+    mujoco.mj_subtreeVel(mj, scratch)
+    return mj.body_mass.sum() * scratch.subtree_linvel[robot.model.body("pelvis")]
+
+
+def test_a_push_in_the_air_gives_its_impulse() -> None:
+    robot = plant("ideal")
+    robot.data.qpos[2] += 2.0
+    impulse, duration = np.array([30.0, -20.0, 10.0]), 0.1
+    before = momentum(robot)
+    robot.push(impulse, duration)
+    assert robot.pushed
+    robot.step(round(duration / robot.step_time))
+    assert not robot.pushed
+    weight = robot.model.mj.body_mass.sum() * GRAVITY
+    np.testing.assert_allclose(momentum(robot) - before, impulse - (0, 0, weight * duration), rtol=1e-3, atol=1e-2)
+    robot.step(10)
+    after = momentum(robot)
+    np.testing.assert_allclose(after[:2] - before[:2], impulse[:2], rtol=1e-2)
+
+
+def test_noise_has_the_deviation_of_its_table() -> None:
+    robot = plant("ideal")
+    noise = SensorNoise(joint_position=2e-4, joint_velocity=0.02, joint_effort=0.5, gyroscope=0.005,
+                        orientation=0.002, accelerometer=0.05, force=2.0, torque=0.2)  # fmt: skip
+    devices = Sensors(ROBOT, robot, noise, seed=1)
+    samples = [devices.measure(k, k) for k in range(600)]
+
+    def deviation(read: str) -> float:
+        return float(np.std([getattr(sample, read) for sample in samples], axis=0).mean())
+
+    assert deviation("joint_position") == pytest.approx(noise.joint_position, rel=0.05)
+    assert deviation("joint_velocity") == pytest.approx(noise.joint_velocity, rel=0.05)
+    assert deviation("joint_effort") == pytest.approx(noise.joint_effort, rel=0.05)
+    assert deviation("imu_angular_velocity") == pytest.approx(noise.gyroscope, rel=0.1)
+    assert deviation("imu_linear_acceleration") == pytest.approx(noise.accelerometer, rel=0.1)
+    wrench = np.std([sample.left_hand_wrench for sample in samples], axis=0)
+    assert wrench[:3].mean() == pytest.approx(noise.force, rel=0.1)
+    assert wrench[3:].mean() == pytest.approx(noise.torque, rel=0.1)
+    orientations = np.array([sample.imu_orientation for sample in samples])
+    np.testing.assert_allclose(np.linalg.norm(orientations, axis=1), 1.0)
+    assert 2 * orientations[:, 1:].std(axis=0).mean() == pytest.approx(noise.orientation, rel=0.1)
+
+
+def test_encoders_have_a_resolution_and_the_imu_a_bias() -> None:
+    robot = plant("ideal")
+    devices = Sensors(ROBOT, robot, SensorNoise(joint_position_resolution=0.01, orientation_bias=0.05), seed=1)
+    measured = devices.measure(1, 1)
+    ticks = measured.joint_position / 0.01
+    np.testing.assert_allclose(ticks, np.rint(ticks), atol=1e-9)
+    assert np.abs(measured.joint_position - ROBOT.nominal_posture).max() <= 0.005 + 1e-9
+    first, second = measured.imu_orientation, devices.measure(2, 2).imu_orientation
+    np.testing.assert_array_equal(first, second)
+    tilt = 2 * first[1:]
+    assert 0 < np.linalg.norm(tilt[:2]) < 0.25
+    assert abs(tilt[2]) < 0.01
+
+
+def test_measurements_do_not_change_afterwards() -> None:
+    robot = plant("hardware")
+    devices = sensors(robot, "hardware")
+    stand(robot)
+    first = devices.measure(1, 1)
+    kept = first.joint_position.copy(), first.left_foot_wrench.copy(), first.imu_orientation.copy()
+    robot.step(50)
+    devices.measure(2, 2)
+    for now, then in zip((first.joint_position, first.left_foot_wrench, first.imu_orientation), kept, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_a_robot_without_commands_falls_and_lies_on_the_floor() -> None:
+    robot = plant("ideal")
+    robot.data.qvel[0] = 0.5
+    robot.step(5000)
+    mujoco.mj_forward(robot.model.mj, robot.data)
+    assert robot.data.qpos[2] < 0.4
+    assert (robot.data.xipos[1:, 2] > -0.02).all(), "a body's CoM is below the floor"
+    assert np.abs(robot.data.qvel).max() < 5.0
+
+
+def test_divergence_is_an_error_not_a_reset() -> None:
+    robot = plant("ideal")
+    robot.data.qvel[10] = np.nan
+    with pytest.raises(SimulationDivergedError, match=r"diverged at 0\.00"):
+        robot.step(2)
+
+
+def test_unknown_worlds_and_profiles_are_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match="world 'moon': expected one of flat"):
+        scene(ROBOT, "moon", "collision")
+    with pytest.raises(ConfigurationError, match=r"world '\.\./worlds/flat'"):
+        worlds.load("../worlds/flat")
+    with pytest.raises(ConfigurationError, match=r"actuators 'perfect'.*ideal, hardware"):
+        Plant(ROBOT, "flat", "perfect", 0)
