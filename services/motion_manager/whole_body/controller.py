@@ -16,7 +16,7 @@ from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.contact import FootContacts
 from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints
-from motion_manager.whole_body.elimination import NotSolvable
+from motion_manager.whole_body.elimination import UnsolvableError
 from motion_manager.whole_body.limits import JointLimits
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from motion_manager.whole_body.reference import StandReference
@@ -130,7 +130,7 @@ class WholeBodyController:
             self._objective.update(dynamics)
             self._contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
             solution = self._qp.solve(self._objective, dynamics, self._contacts.forces, self._bounds)
-        except NotSolvable as error:
+        except UnsolvableError as error:
             return self._last_feasible(state, str(error))
         return self._command(state, solution, dt)
 

@@ -49,8 +49,10 @@ class DcmLaw:
         """Forget the integral."""
         self.integral[:] = 0.0
 
-    def repellent_point(self, dcm: FloatArray, reference: FloatArray, vrp_reference: FloatArray, dt: float) -> FloatArray:
-        """(3,) v for the DCM, its reference and the reference's VRP, all (3,) in odom [m]; ``dt`` [s] since the last."""
+    def repellent_point(
+        self, dcm: FloatArray, reference: FloatArray, vrp_reference: FloatArray, dt: float
+    ) -> FloatArray:
+        """(3,) v [m] for the DCM, its reference and the reference's VRP, (3,) in odom [m], after ``dt`` [s]."""
         error = dcm - reference
         x, y, z = error.tolist()
         if x * x + y * y + z * z < self._hold * self._hold:

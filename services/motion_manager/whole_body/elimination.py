@@ -19,6 +19,7 @@ It has the full problem's optimum. Limits that the optimum keeps anyway need no 
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ FORCE_REGULARIZATION = 1e-4  # ε [1/N²·(objective's unit)]
 VALUE_REGULARIZATION = 1e-9  # of y: S⁻¹ makes it definite already, this keeps round-off from undoing it
 
 
-class NotSolvable(ArithmeticError):
+class UnsolvableError(ArithmeticError):
     """The problem of this period has no solution: numbers that are not finite, or limits that cross."""
 
 
@@ -49,14 +50,15 @@ class Elimination:
         """Factorise H.
 
         Args:
-            hessian: (nv, nv) symmetric positive definite. gradient: (nv,).
+            hessian: (nv, nv) symmetric positive definite.
+            gradient: (nv,).
 
         Raises:
-            NotSolvable: H is not positive definite (numbers that are not finite).
+            UnsolvableError: H is not positive definite.
         """
         self._factor, info = dpotrf(hessian, lower=1, clean=0)
         if info != 0:
-            raise NotSolvable("the objective's Hessian is not positive definite")
+            raise UnsolvableError("the objective's Hessian is not positive definite")
         self._gradient = gradient
 
     def reduce(
@@ -65,11 +67,13 @@ class Elimination:
         """The reduced QP.
 
         Args:
-            mass_rows: (6, nv) M_b. bias: (6,) h_b. forces: (nρ, nv) W.
+            mass_rows: (6, nv) M_b.
+            bias: (6,) h_b.
+            forces: (nρ, nv) W.
             limit: quantities to bound, or None.
 
         Raises:
-            NotSolvable: the rows are not independent or not finite.
+            UnsolvableError: the rows are not independent or not finite.
         """
         base = forces[:, :6].T
         count = forces.shape[0]
@@ -91,7 +95,7 @@ class Elimination:
         products = rows @ solved  # C·K·[Cᵀ, g]
         compliance, info = dpotrf(products[:, :n], lower=1, clean=0)
         if info != 0:
-            raise NotSolvable("the constraints are not independent")
+            raise UnsolvableError("the constraints are not independent")
         residual = products[:, n] + offset  # r
         right = np.empty((n, effect.shape[1] + 1), order="F")
         right[:, :-1] = effect
@@ -101,7 +105,10 @@ class Elimination:
         diagonal = hessian.ravel()[:: hessian.shape[0] + 1]  # a view
         diagonal[:count] += FORCE_REGULARIZATION
         diagonal[count:] += VALUE_REGULARIZATION
-        return Reduced(hessian, scaled[:, -1] @ -effect, solved, scaled)
+        gradient = scaled[:, -1] @ -effect
+        if not isfinite(gradient @ gradient):  # LAPACK lets NaN pass, and here it has reached every number
+            raise UnsolvableError("the problem is not finite")
+        return Reduced(hessian, gradient, solved, scaled)
 
 
 class Reduced(NamedTuple):

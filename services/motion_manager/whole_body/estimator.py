@@ -140,9 +140,7 @@ class FloatingBaseEstimator:
         weight = self.dynamics.mass * self.dynamics.gravity
         self._contact_on, self._contact_off = table.contact_on * weight, table.contact_off * weight
         upper_body = UpperBodyKinematics(model)
-        self._inverse_omega = 1.0 / DcmLaw.natural_frequency(
-            upper_body.nominal_com_height, self.dynamics.gravity
-        )
+        self._inverse_omega = 1.0 / DcmLaw.natural_frequency(upper_body.nominal_com_height, self.dynamics.gravity)
         self._gravity = np.array((0.0, 0.0, self.dynamics.gravity))
         self._raw_velocity = np.zeros(model.mj.nv)
         self._joint_velocity = np.zeros(len(robot.joints))
@@ -152,7 +150,7 @@ class FloatingBaseEstimator:
         self._started = False
 
     def reset(self) -> None:
-        """Begin anew with the next Proprioceptor: odom's origin between the feet, at the soles' height, facing as they do."""
+        """Begin anew with the next Proprioceptor: odom between the feet, at the height of the soles, facing as they do."""
         self._started = False
 
     def update(self, proprioceptor: Proprioceptor) -> RobotState:
@@ -289,6 +287,6 @@ class _Foot(NamedTuple):
 
 
 def _velocity_at(linear: list[float], angular: list[float], place: Vector) -> Vector:
-    """v + ω×r."""
+    """Of a point of a body: v + ω×r."""
     (vx, vy, vz), (wx, wy, wz), (x, y, z) = linear, angular, place
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.elimination import Elimination, Limit, NotSolvable, Reduced
+from motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
 from motion_manager.whole_body.state import FloatArray, QpStatus
 from motion_manager.whole_body.tasks import Objective
 
@@ -67,7 +67,7 @@ class ContactForceQp:
             bounds: of torque and acceleration.
 
         Raises:
-            NotSolvable: numbers that are not finite, limits that cross, or the solver gave up.
+            UnsolvableError: numbers that are not finite, limits that cross, or the solver gave up.
         """
         mass, bias, n = dynamics.mass_matrix, dynamics.bias, self._joints
         offset = bias[6:] + self._damping * dynamics.joint_velocity
@@ -86,19 +86,21 @@ class ContactForceQp:
                 status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
                 return Solution(acceleration, rho, torque, status, joined)
             if not np.isfinite(values).all():
-                raise NotSolvable("the solution is not finite")
+                raise UnsolvableError("the solution is not finite")
             broken = (values > upper) | (values < lower)
             broken[joined] = False  # what is left there is round-off
             if not broken.any():
                 return Solution(acceleration, rho, torque, QpStatus.LIMITED, joined)
             joined = np.concatenate((joined, np.flatnonzero(broken)))
-        raise NotSolvable(f"limits of joints kept breaking after {ROUNDS} rounds")
+        raise UnsolvableError(f"limits of joints kept breaking after {ROUNDS} rounds")
 
-    def _limit(
-        self, mass: FloatArray, offset: FloatArray, forces: FloatArray, joined: npt.NDArray[np.intp]
-    ) -> Limit:
+    def _limit(self, mass: FloatArray, offset: FloatArray, forces: FloatArray, joined: npt.NDArray[np.intp]) -> Limit:
         n = self._joints
-        rows, constant, effect = np.zeros((joined.size, n + 6)), np.zeros(joined.size), np.zeros((joined.size, self._count))
+        rows, constant, effect = (
+            np.zeros((joined.size, n + 6)),
+            np.zeros(joined.size),
+            np.zeros((joined.size, self._count)),
+        )
         torques, accelerations = joined < n, joined >= n
         joint = joined[torques]
         rows[torques] = mass[6 + joint]
@@ -114,6 +116,6 @@ class ContactForceQp:
             upper = np.concatenate((upper, bounds.upper[joined]))
         z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, np.empty((0, upper.size)), upper, lower)
         if flag < 1:
-            raise NotSolvable(f"DAQP ended with flag {flag}")
+            raise UnsolvableError(f"DAQP ended with flag {flag}")
         minimum: FloatArray = z
         return minimum

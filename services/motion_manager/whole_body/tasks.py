@@ -14,7 +14,6 @@ from __future__ import annotations
 import numpy as np
 
 from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, Dynamics, ModelJoints
-from motion_manager.whole_body.state import FloatArray
 from valor_common.robot import WholeBody
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks

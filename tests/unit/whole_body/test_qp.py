@@ -1,0 +1,220 @@
+"""The reduced QP against the full one, solved as it stands, and what becomes of limits and of impossible problems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+import pytest
+
+from motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators
+from motion_manager.whole_body.dynamics import SOLES, Dynamics
+from motion_manager.whole_body.elimination import FORCE_REGULARIZATION, UnsolvableError
+from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
+from motion_manager.whole_body.state import QpStatus
+from motion_manager.whole_body.tasks import Objective
+from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
+from valor_common.model import Model
+from valor_common.robot import RobotDescription
+
+EQUALITY = 5  # DAQP's sense
+
+
+@dataclass
+class Problem:
+    """One control period's problem."""
+
+    dynamics: Dynamics
+    objective: Objective
+    contacts: FootContacts
+    damping: FloatArray
+    qp: ContactForceQp
+
+    def unbounded(self) -> Bounds:
+        n = len(self.damping)
+        return Bounds(np.full(2 * n, -np.inf), np.full(2 * n, np.inf))
+
+    def solve(self, bounds: Bounds) -> Solution:
+        return self.qp.solve(self.objective, self.dynamics, self.contacts.forces, bounds)
+
+    def solve_in_full(self, bounds: Bounds) -> tuple[FloatArray, FloatArray, float]:
+        """v̇, ρ and the optimum of the problem as it stands: v̇ and ρ, six equalities, every limit a row."""
+        d, forces, n = self.dynamics, self.contacts.forces, len(self.damping)
+        nv, nr = n + 6, forces.shape[0]
+        hessian = np.zeros((nv + nr, nv + nr))
+        hessian[:nv, :nv] = self.objective.hessian
+        hessian[nv:, nv:] = FORCE_REGULARIZATION * np.eye(nr)
+        linear = np.concatenate((-self.objective.gradient, np.zeros(nr)))
+        base = np.hstack((d.mass_matrix[:6], -forces[:, :6].T))
+        torque = np.hstack((d.mass_matrix[6:], -forces[:, 6:].T))
+        joints = np.hstack((np.zeros((n, 6)), np.eye(n), np.zeros((n, nr))))
+        rho = np.hstack((np.zeros((nr, nv)), np.eye(nr)))
+        offset = d.bias[6:] + self.damping * d.joint_velocity
+        rows = np.ascontiguousarray(np.vstack((base, torque, joints, rho)))
+        lower = np.concatenate((-d.bias[:6], bounds.lower[:n] - offset, bounds.lower[n:], np.zeros(nr)))
+        upper = np.concatenate((-d.bias[:6], bounds.upper[:n] - offset, bounds.upper[n:], np.full(nr, 1e30)))
+        sense = np.zeros(len(lower), dtype=np.int32)
+        sense[:6] = EQUALITY
+        z, value, flag, _ = daqp.solve(
+            hessian, linear, rows, np.minimum(upper, 1e30), np.maximum(lower, -1e30), sense, primal_tol=1e-9
+        )
+        assert flag == 1
+        return z[:nv], z[nv:], float(value)
+
+    def value(self, acceleration: FloatArray, rho: FloatArray) -> float:
+        o = self.objective
+        return float(
+            0.5 * acceleration @ o.hessian @ acceleration
+            - o.gradient @ acceleration
+            + 0.5 * FORCE_REGULARIZATION * rho @ rho
+        )
+
+
+def problem(robot: RobotDescription, model: Model, state: RandomState, seed: int) -> Problem:
+    """Random wishes at a state."""
+    rng = np.random.default_rng(seed)
+    dynamics = state.evaluate(model)
+    objective = Objective(robot.tables.whole_body, dynamics.joints)
+    objective.acceleration[:] = rng.normal(scale=2.0, size=24)
+    objective.posture[:] = rng.normal(scale=5.0, size=dynamics.joints.count)
+    objective.update(dynamics)
+    contacts = FootContacts(robot, model.mj.nv)
+    contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+    damping = model.mj.dof_damping[6:].copy()
+    return Problem(dynamics, objective, contacts, damping, ContactForceQp(contacts.count, damping))
+
+
+@pytest.fixture(params=range(6))
+def random_problem(request: pytest.FixtureRequest, robot: RobotDescription, model: Model) -> Problem:
+    states = list(random_states(model, 6, seed=7))
+    return problem(robot, model, states[request.param], request.param)
+
+
+def assert_optimal(problem: Problem, bounds: Bounds, solution: Solution) -> None:
+    """The solution keeps all constraints and is as good as the full QP's."""
+    d, n = problem.dynamics, len(problem.damping)
+    acceleration, rho, value = problem.solve_in_full(bounds)
+    residual = d.mass_matrix[:6] @ solution.acceleration + d.bias[:6] - problem.contacts.forces[:, :6].T @ solution.rho
+    np.testing.assert_allclose(residual, 0.0, atol=1e-6)
+    assert (solution.rho >= -1e-8).all()
+    values = np.concatenate((solution.torque, solution.acceleration[6:]))
+    assert (values <= bounds.upper + 1e-4).all()
+    assert (values >= bounds.lower - 1e-4).all()
+    assert problem.value(solution.acceleration, solution.rho) == pytest.approx(value, rel=1e-5, abs=1e-5)
+    scale = np.abs(acceleration).max()
+    np.testing.assert_allclose(solution.acceleration, acceleration, atol=1e-3 * scale)
+    np.testing.assert_allclose(
+        problem.contacts.forces.T @ solution.rho, problem.contacts.forces.T @ rho, atol=1e-3 * (1.0 + np.abs(rho).max())
+    )
+    assert len(solution.torque) == n
+
+
+def test_without_limits(random_problem: Problem) -> None:
+    bounds = random_problem.unbounded()
+    solution = random_problem.solve(bounds)
+    assert solution.status == QpStatus.OPTIMAL
+    assert_optimal(random_problem, bounds, solution)
+
+
+def test_torque_is_that_of_inverse_dynamics(random_problem: Problem) -> None:
+    solution = random_problem.solve(random_problem.unbounded())
+    d = random_problem.dynamics
+    forces = d.mass_matrix @ solution.acceleration + d.bias - random_problem.contacts.forces.T @ solution.rho
+    np.testing.assert_allclose(forces[6:] + random_problem.damping * d.joint_velocity, solution.torque, atol=1e-8)
+    np.testing.assert_allclose(forces[:6], 0.0, atol=1e-6)
+
+
+def test_with_limits_of_torque(random_problem: Problem) -> None:
+    """Torque limits that cut off the largest torques of the free solution."""
+    n = len(random_problem.damping)
+    free = random_problem.solve(random_problem.unbounded())
+    bounds = random_problem.unbounded()
+    limit = np.sort(np.abs(free.torque))[-5]
+    bounds.lower[:n], bounds.upper[:n] = -limit, limit
+    solution = random_problem.solve(bounds)
+    assert solution.status == QpStatus.LIMITED
+    assert solution.limits.size >= 4
+    assert_optimal(random_problem, bounds, solution)
+
+
+def test_with_limits_of_torque_and_acceleration(random_problem: Problem) -> None:
+    n = len(random_problem.damping)
+    free = random_problem.solve(random_problem.unbounded())
+    bounds = random_problem.unbounded()
+    torque = np.sort(np.abs(free.torque))[-4]
+    acceleration = np.sort(np.abs(free.acceleration[6:]))[-4]
+    bounds.lower[:n], bounds.upper[:n] = -torque, torque
+    bounds.lower[n:], bounds.upper[n:] = -acceleration, acceleration
+    solution = random_problem.solve(bounds)
+    assert solution.status == QpStatus.LIMITED
+    assert_optimal(random_problem, bounds, solution)
+
+
+def test_a_foot_that_shall_not_push_does_not(random_problem: Problem) -> None:
+    random_problem.qp.rho_upper[:16] = 0.0
+    solution = random_problem.solve(random_problem.unbounded())
+    np.testing.assert_allclose(solution.rho[:16], 0.0, atol=1e-8)
+    left, right = random_problem.contacts.vertical_forces(solution.rho)
+    assert left == pytest.approx(0.0, abs=1e-6)
+    assert np.isfinite(right)
+
+
+def test_limits_that_cross_cannot_be_solved(random_problem: Problem) -> None:
+    bounds = random_problem.unbounded()
+    bounds.lower[3], bounds.upper[3] = 1.0, -1.0
+    with pytest.raises(UnsolvableError, match="DAQP ended with flag"):
+        random_problem.solve(bounds)
+
+
+@pytest.mark.parametrize("where", ["gradient", "hessian", "bias", "forces"])
+def test_numbers_that_are_not_finite_cannot_be_solved(random_problem: Problem, where: str) -> None:
+    p = random_problem
+    arrays = {
+        "gradient": p.objective.gradient,
+        "hessian": p.objective.hessian[:, 2],
+        "bias": p.dynamics.bias,
+        "forces": p.contacts.forces[3],
+    }
+    arrays[where][2] = np.nan
+    with pytest.raises(UnsolvableError, match="not finite|not positive definite"):
+        p.solve(p.unbounded())
+
+
+def test_an_objective_without_a_minimum_cannot_be_solved(random_problem: Problem) -> None:
+    random_problem.objective.hessian[2, 2] = -1e9
+    with pytest.raises(UnsolvableError, match="not positive definite"):
+        random_problem.solve(random_problem.unbounded())
+
+
+def test_generators_span_friction_and_the_cop_rectangle(robot: RobotDescription) -> None:
+    """Any non-negative sum is within the friction cone, pushes, and has its CoP within the contact points."""
+    table, foot = robot.tables.whole_body, robot.tables.feet.left
+    points = contact_points(foot, table.contact_inset)
+    wrenches = sole_generators(points, table.friction)
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        fx, fy, fz, tx, ty, _ = wrenches @ (rng.random(16) * (rng.random(16) < 0.3) * 100.0 + 1e-3)
+        assert fz > 0.0
+        assert np.hypot(fx, fy) <= table.friction * fz + 1e-9
+        assert foot.heel + table.contact_inset - 1e-9 <= -ty / fz <= foot.toe - table.contact_inset + 1e-9
+        assert abs(tx / fz) <= foot.half_width - table.contact_inset + 1e-9
+
+
+def test_generalised_forces_are_those_of_the_wrenches(robot: RobotDescription, model: Model) -> None:
+    state = next(iter(random_states(model, 1, seed=11)))
+    dynamics = state.evaluate(model)
+    contacts = FootContacts(robot, model.mj.nv)
+    contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+    rho = np.random.default_rng(2).random(32) * 50.0
+    generalised = np.zeros(model.mj.nv)
+    vertical = []
+    for i in range(2):
+        wrench = sole_generators(contacts.points[i], robot.tables.whole_body.friction) @ rho[16 * i : 16 * i + 16]
+        turn = dynamics.sole_rotation[i]
+        first = 12 + 6 * i
+        generalised += dynamics.jacobian[first : first + 3].T @ (turn @ wrench[:3])
+        generalised += dynamics.jacobian[first + 3 : first + 6].T @ (turn @ wrench[3:])
+        vertical.append((turn @ wrench[:3])[2])
+    np.testing.assert_allclose(contacts.forces.T @ rho, generalised, atol=1e-9)
+    np.testing.assert_allclose(contacts.vertical_forces(rho), vertical, atol=1e-9)
