@@ -86,18 +86,19 @@ class ValorEscherController:
 
     def _switch(self, went_back: bool) -> None:
         """Run the controllers of the active mode, none while the Motion System is silent."""
-        mode_controller, silent = self.mode_controller, self._interface.silent
+        hw, mode_controller, silent = self._hw, self.mode_controller, self._interface.silent
         name = mode_controller.active_mode
         anew = went_back or mode_controller.hard_resets != self._resets
         self._resets = mode_controller.hard_resets
         if silent or not name:
-            reason = f"{silent or 'the Motion System'} is silent"
-            self.joints.switch((), self._hw, reason)
-            self.robots.switch((), self._hw, reason)
+            hw.situation = reason = f"{silent or 'the Motion System'} is silent"
+            self.joints.switch((), hw, reason)
+            self.robots.switch((), hw, reason)
             return
         mode = self._table.modes[name]
-        reason = "robot time went back" if went_back else f"control mode {name}"
+        hw.situation = f"control mode {name}"
+        reason = "robot time went back" if went_back else hw.situation
         if name == "none" and self._interface.behavior:
             reason = f"{reason}, the Motion System is in {self._interface.behavior}"
-        self.joints.switch(mode.joint_controllers, self._hw, reason, anew=anew)
-        self.robots.switch(mode.robot_controllers, self._hw, reason, anew=anew)
+        self.joints.switch(mode.joint_controllers, hw, reason, anew=anew)
+        self.robots.switch(mode.robot_controllers, hw, reason, anew=anew)

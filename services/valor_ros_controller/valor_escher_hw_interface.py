@@ -33,6 +33,7 @@ class ValorEscherHWInterface:
         position, velocity: (n,) measured [rad], [rad/s].
         command_position, command_velocity, command_acceleration: (n,) written by the claimants.
         command_offset: (n,) what robot-level controllers add to the position in this cycle [rad].
+        situation: the control mode, or who is silent; for the text of refusals.
         clamped: how often a command had to be brought within a limit.
     """
 
@@ -48,6 +49,7 @@ class ValorEscherHWInterface:
         self.command_velocity = np.zeros(n)
         self.command_acceleration = np.zeros(n)
         self.command_offset = np.zeros(n)
+        self.situation = "nothing heard yet"
         self.clamped = 0
         self._claims: dict[int, str] = {}
         self._writing: dict[str, Indices] = {}

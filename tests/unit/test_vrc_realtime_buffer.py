@@ -1,5 +1,6 @@
 """The two-slot buffer: newest wins, nothing is torn, ``None`` when there is nothing new."""
 
+import itertools
 import sys
 import threading
 
@@ -50,4 +51,4 @@ def test_under_threads_values_are_whole_in_order_and_the_last_arrives():
         sys.setswitchinterval(interval)
     assert not torn
     assert seen[-1] == last
-    assert all(a < b for a, b in zip(seen, seen[1:], strict=False)), "an old value came after a newer one"
+    assert all(a < b for a, b in itertools.pairwise(seen)), "an old value came after a newer one"

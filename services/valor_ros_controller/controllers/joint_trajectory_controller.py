@@ -209,7 +209,6 @@ class JointTrajectoryController:
         self._waiting_since = 0
         self._feedback_period = round(1e9 / config.action_monitor_rate)
         self._next_feedback = 0
-        self._inactive_because = "the controller was never active"
 
     @property
     def name(self) -> str:
@@ -247,7 +246,6 @@ class JointTrajectoryController:
     def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
         """Give the joints back; a goal in progress is aborted."""
         self.active = self.writing = False
-        self._inactive_because = reason
         hw.release(self._name)
         self._end(Outcome(ErrorCode.INVALID_GOAL, f"aborted: {self._name} was deactivated: {reason}"))
 
@@ -309,7 +307,7 @@ class JointTrajectoryController:
             if not self.active:
                 raise InvalidTrajectoryError(
                     ErrorCode.INVALID_GOAL,
-                    f"{self._name} is not active ({self._inactive_because}); it is in the control modes {self._modes}",
+                    f"{self._name} is not active: {hw.situation}; it is active in the control modes {self._modes}",
                 )
             if not self.writing:
                 wanted = ", ".join(f"{field} {state}" for field, state in self._accepted_when)

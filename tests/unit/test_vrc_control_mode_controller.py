@@ -1,0 +1,303 @@
+"""The control mode controller against the Motion Manager's own state machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from motion_manager.behaviors import OPERATIONAL, Behavior
+from valor_common.robot import RobotDescription
+from valor_ros_controller.behavior_transition import (
+    REPORT_TIMEOUT,
+    BehaviorAnswer,
+    BehaviorTransition,
+    TransitionState,
+)
+from valor_ros_controller.control_modes import ControlModeTable, ModeStatus
+from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+
+S = ModeStatus
+TABLE = ControlModeTable.load()
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+
+
+@dataclass
+class Client:
+    """Keeps what it is told."""
+
+    seen: list[ModeReport] = field(default_factory=list)
+    result: ModeReport | None = None
+
+    def processing(self, report: ModeReport) -> None:
+        self.seen.append(report)
+
+    def finish(self, report: ModeReport) -> None:
+        assert self.result is None, "finished twice"
+        self.result = report
+
+
+class Plant:
+    """A Motion Manager's state machine behind the interface's transitions; a message takes one cycle each way."""
+
+    def __init__(self) -> None:
+        self.fsm = BehaviorFsm(unavailable={})
+        self.fsm.go(Behavior.STAND_PREP, "start")
+        self.behavior = ""
+        self.behavior_reason = ""
+        self.silent = "motion_manager"
+        self.deaf = False
+        self.asked: list[str] = []
+        self.now = 0.0
+        self._transition: BehaviorTransition | None = None
+        self._number = 1
+        self._answer: BehaviorAnswer | None = None
+        self.controller = ControlModeController(TABLE, self)
+        self._hw = ValorEscherHWInterface(ROBOT)
+
+    def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
+        self._transition = BehaviorTransition(commands, self._number, self.behavior)
+        self._number += 2
+        return self._transition
+
+    def cycle(self, count: int = 1, *, report: bool = True) -> None:
+        for _ in range(count):
+            self.now += 0.004
+            if report:
+                self.behavior, self.behavior_reason, self.silent = str(self.fsm.behavior), self.fsm.reason, ""
+            else:
+                self.behavior, self.silent = "", "motion_manager"
+            answer, self._answer = self._answer, None
+            if self._transition and self.behavior:
+                command = self._transition.update(self.now, self.behavior, self.behavior_reason, answer)
+                if command and not self.deaf:
+                    self.asked.append(command[1])
+                    verdict = self.fsm.request(Behavior(command[1]), Conditions(), "test")
+                    self._answer = BehaviorAnswer(command[0], verdict.accepted, verdict.reason)
+            self.controller.update(self._hw)
+
+    def ask(self, mode: str, cycles: int = 12) -> ModeReport:
+        client = Client()
+        self.controller.request(mode, client)
+        self.cycle(cycles)
+        assert client.result is not None, f"{mode}: no result"
+        assert client.result == self.controller.report or client.result.status & S.MODE_REJECTED
+        return client.result
+
+
+@pytest.fixture
+def plant():
+    made = Plant()
+    made.cycle()
+    return made
+
+
+def test_at_start_the_mode_is_found_and_reported_as_external(plant):
+    assert plant.controller.report == ModeReport("", "stand_prep", S.EXTERNAL_CHANGE)
+    assert plant.controller.active_mode == "stand_prep"
+
+
+def test_a_mode_is_reached_by_two_commands(plant):
+    assert plant.ask("stand") == ModeReport("stand", "stand", S.MODE_ACCEPTED)
+    assert plant.ask("Stand_Manipulate") == ModeReport("stand_manipulate", "stand_manipulate", S.MODE_ACCEPTED)
+    assert plant.asked == ["stand", "stand", "stand", "stand_manipulate"]
+
+
+def test_a_repeat_is_a_duplicate_and_sends_nothing(plant):
+    plant.ask("stand")
+    asked = list(plant.asked)
+    assert plant.ask("stand") == ModeReport("stand", "stand", S.MODE_ACCEPTED | S.MODE_DUPLICATE)
+    assert plant.asked == asked
+
+
+@pytest.mark.parametrize("name", ["whole_body", "dance", "calibrate", "manipulate_gravity", "", "stand prep", "idle"])
+def test_dropped_and_unknown_modes_are_invalid(plant, name):
+    result = plant.ask(name)
+    assert result.status == S.MODE_REJECTED | S.ERR_INVALID_BEHAVIOR_MODE
+    assert result.current == "stand_prep" and not plant.asked
+
+
+def test_a_transition_that_the_table_lacks_is_invalid_and_sends_nothing(plant):
+    result = plant.ask("walk")
+    assert result == ModeReport("walk", "stand_prep", S.MODE_REJECTED | S.ERR_INVALID_TRANSITION)
+    assert not plant.asked and "from there" in plant.controller.last_refusal
+
+
+def test_a_refusal_leaves_the_actual_mode_and_carries_the_reason(plant):
+    plant.ask("stand")
+    plant.fsm._unavailable = {plant.fsm.locomotion.__class__.WALK: "walking is not available"}
+    result = plant.ask("walk_manipulate")
+    assert result == ModeReport("walk_manipulate", "stand", S.MODE_REJECTED)
+    assert "walking is not available" in plant.controller.last_refusal
+    assert plant.controller.active_mode == "stand"
+
+
+def test_manipulate_and_stand_manipulate_are_one_behavior_and_the_mode_is_remembered(plant):
+    plant.ask("stand_manipulate")
+    asked = len(plant.asked)
+    assert plant.ask("manipulate").current == "manipulate"
+    assert len(plant.asked) == asked, "the arms were slaved in between for nothing"
+    plant.cycle(5)
+    assert plant.controller.current == "manipulate"
+
+
+def test_feedback_says_processing(plant):
+    client = Client()
+    plant.controller.request("stand", client)
+    plant.cycle(12)
+    assert client.seen == [ModeReport("stand", "stand_prep", S.MODE_PROCESSING)]
+
+
+def test_a_second_request_meanwhile_is_refused_but_a_soft_stop_preempts(plant):
+    plant.ask("stand")
+    plant.deaf = True
+    first, second, third = Client(), Client(), Client()
+    plant.controller.request("step", first)
+    plant.cycle(2)
+    plant.controller.request("walk", second)
+    plant.cycle()
+    assert second.result.status == S.MODE_REJECTED | S.ERR_PRIOR_COMMAND_IN_PROGRESS
+    plant.deaf = False
+    plant.controller.request("soft_stop", third)
+    plant.cycle(12)
+    assert first.result.status == S.MODE_PREEMPTED
+    assert third.result == ModeReport("soft_stop", "soft_stop", S.MODE_ACCEPTED)
+
+
+@pytest.mark.parametrize("mode", ["stand", "stand_manipulate", "step", "step_manipulate", "walk", "walk_manipulate"])
+def test_a_fall_is_reported_in_the_cycle_that_hears_of_it(plant, mode):
+    plant.ask("stand")
+    if mode != "stand":
+        plant.ask(mode)
+    resets = plant.controller.hard_resets
+    plant.fsm.go(Behavior.FALL, "tilted by 0.7 rad")
+    plant.cycle()
+    assert plant.controller.report == ModeReport(mode, "none", S.EXTERNAL_CHANGE)
+    assert plant.controller.active_mode == "none" and plant.controller.hard_resets == resets + 1
+
+
+def test_a_fall_during_a_change_ends_the_change(plant):
+    plant.ask("stand")
+    plant.deaf = True
+    client = Client()
+    plant.controller.request("stand_manipulate", client)
+    plant.cycle(3)
+    plant.fsm.go(Behavior.FALL, "lost")
+    plant.cycle()
+    assert client.result == ModeReport("stand_manipulate", "none", S.MODE_REJECTED | S.EXTERNAL_CHANGE)
+
+
+@pytest.mark.parametrize("mode", ["step_manipulate", "walk_manipulate"])
+def test_when_a_plan_is_done_the_arms_are_asked_for_again(plant, mode):
+    plant.ask("stand")
+    plant.ask(mode)
+    reports = []
+    plant.fsm.go(Behavior.STAND, "plan done")
+    for _ in range(12):
+        plant.cycle()
+        if not reports or plant.controller.report != reports[-1]:
+            reports.append(plant.controller.report)
+    assert reports[0].status == S.MODE_PROCESSING and reports[0].current == "stand"
+    assert reports[-1] == ModeReport("stand_manipulate", "stand_manipulate", S.MODE_ACCEPTED)
+    assert plant.fsm.behavior is Behavior.STAND_MANIPULATE
+
+
+def test_a_step_without_arms_just_returns_to_stand(plant):
+    plant.ask("stand")
+    plant.ask("step")
+    plant.fsm.go(Behavior.STAND, "plan done")
+    plant.cycle(5)
+    assert plant.controller.report == ModeReport("step", "stand", S.EXTERNAL_CHANGE)
+
+
+def test_silence_and_return(plant):
+    plant.ask("stand_manipulate")
+    client, late = Client(), Client()
+    plant.deaf = True
+    plant.controller.request("stand", client)
+    plant.cycle(2)
+    plant.cycle(report=False)
+    assert client.result.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
+    assert plant.controller.active_mode == ""
+    assert plant.controller.report.current == "none"
+    plant.controller.request("stand", late)
+    plant.cycle(report=False)
+    assert late.result.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
+    assert "motion_manager is silent" in plant.controller.last_refusal
+    plant.deaf = False
+    plant.cycle()
+    assert plant.controller.report.current == "stand_manipulate"
+    assert plant.controller.report.status == S.EXTERNAL_CHANGE
+
+
+def test_a_behavior_that_is_accepted_but_never_reported_times_out(plant):
+    transition = BehaviorTransition(("stand", "stand"), 7, "stand_prep")
+    assert transition.update(0.0, "stand_prep", "", None) == (7, "stand")
+    assert transition.update(0.1, "stand_prep", "", BehaviorAnswer(6, False, "of another transition")) is None
+    assert transition.update(0.2, "stand_prep", "", BehaviorAnswer(7, True, "")) is None
+    transition.update(0.2 + REPORT_TIMEOUT, "stand_prep", "", None)
+    assert transition.state is TransitionState.PROCESSING
+    transition.update(0.3 + REPORT_TIMEOUT, "stand_prep", "", None)
+    assert transition.state is TransitionState.FAILED and "still reports stand_prep" in transition.reason
+
+
+@pytest.mark.parametrize(
+    ("mode", "stop"),
+    [("stand_prep", "freeze"), ("stand", "soft_stop"), ("walk", "soft_stop"), ("step_manipulate", "soft_stop")],
+)
+def test_emergency_stop_keeps_the_balance_where_there_is_one(plant, mode, stop):
+    if mode != "stand_prep":
+        plant.ask("stand")
+        plant.ask(mode)
+    result = plant.ask("EMERGENCY_STOP")
+    assert result == ModeReport(stop, stop, S.MODE_ACCEPTED)
+
+
+def test_stop_resets_the_controllers_and_leaves_the_behavior(plant):
+    plant.ask("stand_manipulate")
+    asked, resets = list(plant.asked), plant.controller.hard_resets
+    assert plant.ask("stop") == ModeReport("stop", "stop", S.MODE_ACCEPTED)
+    assert plant.asked == asked and plant.controller.hard_resets == resets + 1
+    assert plant.fsm.behavior is Behavior.STAND_MANIPULATE
+    assert plant.ask("stand") == ModeReport("stand", "stand", S.MODE_ACCEPTED)
+
+
+events = st.one_of(
+    st.sampled_from([*TABLE.modes, "emergency_stop", "dance"]).map(lambda mode: ("ask", mode)),
+    st.sampled_from(["fall", "stand"]).map(lambda behavior: ("go", behavior)),
+    st.integers(1, 15).map(lambda cycles: ("wait", cycles)),
+    st.integers(1, 3).map(lambda cycles: ("silence", cycles)),
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(events, max_size=20))
+def test_whatever_happens_every_client_is_answered_once_and_the_mode_is_true(sequence):
+    plant = Plant()
+    plant.cycle()
+    clients = []
+    for kind, value in sequence:
+        if kind == "ask":
+            clients.append(Client())
+            plant.controller.request(value, clients[-1])
+            plant.cycle()
+        elif kind == "go":
+            if plant.fsm.behavior in OPERATIONAL and plant.fsm.may_go(Behavior(value)):
+                plant.fsm.go(Behavior(value), "on its own")
+        elif kind == "wait":
+            plant.cycle(value)
+        else:
+            plant.cycle(value, report=False)
+    plant.cycle(round(REPORT_TIMEOUT / 0.004) + 30)  # an accepted behavior may have been overtaken by another
+    assert all(client.result for client in clients)
+    mode = plant.controller.current
+    assert plant.controller.active_mode == mode
+    assert mode == "stop" or TABLE.fits(mode, str(plant.fsm.behavior))
+    for client in clients:
+        accepted = client.result.status & S.MODE_ACCEPTED
+        assert not accepted or client.result.current == client.result.requested

@@ -1,0 +1,156 @@
+"""The table of control modes agrees with ViGIR's messages, with the Motion System and with the documentation."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from motion_manager.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, Behavior
+from valor_common.errors import ConfigurationError
+from valor_common.robot import RobotDescription
+from valor_ros_controller.control_modes import FILE, ControlModeTable, ModeStatus
+from valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP
+from valor_ros_controller.controllers.joint_trajectory_controller import ControllersTable
+from valor_ros_controller.trajectory import ErrorCode
+
+TABLE = ControlModeTable.load()
+CONTROLLERS = ControllersTable.load()
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+# Boston Dynamics' ids and upper-body flags as Team ViGIR's Atlas table binds them.
+BDI = {
+    "none": (1, 0), "stop": (-1, -1), "freeze": (1, 0), "stand_prep": (2, 0), "stand": (3, 0), "walk": (4, 0),
+    "step": (5, 0), "manipulate": (6, -1), "soft_stop": (9, 0), "stand_manipulate": (3, 1), "walk_manipulate": (4, 1),
+    "step_manipulate": (5, 1),
+}  # fmt: skip
+
+
+def reachable(start: str, command: str) -> bool:
+    return start == command or Behavior(command) in BEHAVIOR_TRANSITIONS[Behavior(start)]
+
+
+def test_modes_and_bdi_columns_are_vigirs():
+    assert {name: (mode.bdi, mode.upper_body) for name, mode in TABLE.modes.items()} == BDI
+
+
+def test_behaviors_are_those_of_the_motion_system():
+    assert set(TABLE.behaviors) == {behavior.value for behavior in Behavior}
+
+
+@pytest.mark.parametrize("name", TABLE.modes)
+def test_two_commands_lead_from_every_mode_to_each_that_may_follow(name):
+    mode = TABLE.modes[name]
+    for follower in mode.to:
+        pair = TABLE.modes[follower].motion
+        if pair is None:
+            continue
+        if mode.motion is not None:
+            # Where the mode was asked for, and where it is only what the Motion System is in.
+            starts = {mode.motion[1]} | {b for b, m in TABLE.behaviors.items() if m == name and b != "get_up"}
+        else:
+            starts = {"stand"}
+        if name == "none":
+            # Idle, Freeze and Fall are all none; only from some of them is there a way, and the Manager says which.
+            assert any(reachable(start, pair[0]) for start in starts), follower
+        else:
+            assert all(reachable(start, pair[0]) for start in starts), follower
+        assert reachable(*pair), follower
+
+
+def test_the_second_command_is_the_base_or_its_manipulation_variant():
+    for name, mode in TABLE.modes.items():
+        if mode.motion:
+            base, variant = mode.motion
+            assert variant in (base, f"{base}_manipulate"), name
+            if mode.upper_body == 0:
+                assert variant == base, name
+            elif mode.upper_body == 1:
+                assert variant != base, name
+
+
+def test_controllers_of_a_mode_are_accepted_by_its_behavior():
+    for name, mode in TABLE.modes.items():
+        if mode.motion is None:
+            continue
+        locomotion, manipulation, attention = INTERNAL_STATES[Behavior(mode.motion[1])]
+        states = {"locomotion": locomotion, "manipulation": manipulation, "attention": attention}
+        accepted = {
+            controller
+            for controller, config in CONTROLLERS.controllers.items()
+            if all(states[machine] == state for machine, state in config.accepted_when.items())
+        }
+        assert set(mode.joint_controllers) == accepted, name
+
+
+def test_a_reported_behavior_has_a_mode_that_stands_for_it():
+    for behavior, mode in TABLE.behaviors.items():
+        assert TABLE.fits(mode, behavior)
+    assert TABLE.behaviors["fall"] == "none"
+
+
+def test_an_emergency_stop_is_possible_in_every_mode_but_after_a_stop_of_its_own():
+    for name, mode in TABLE.modes.items():
+        choices = [stop for stop in TABLE.emergency_stop if stop == name or stop in mode.to]
+        assert choices, name
+        walks = mode.motion is not None and mode.motion[0] in ("step", "walk")
+        assert not walks or choices[0] == "soft_stop", "a robot that locks its joints in single support topples"
+
+
+def test_flags_and_codes_are_those_of_the_messages():
+    from control_msgs.action import FollowJointTrajectory
+    from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
+
+    for flag in ModeStatus.__members__:
+        assert int(ModeStatus[flag]) == getattr(ControlModeStatus, flag)
+    for code in ErrorCode:
+        assert int(code) == getattr(FollowJointTrajectory.Result, code.name)
+    assert VigirControlModeCommand.EMERGENCY_STOP == EMERGENCY_STOP
+
+
+@pytest.mark.parametrize("robot", [path.parent.name for path in (REPOSITORY / "robots").glob("*/robot.yaml")])
+def test_controllers_find_their_joints_in_every_robot(robot):
+    description = RobotDescription.load(REPOSITORY / "robots" / robot)
+    for name, config in CONTROLLERS.controllers.items():
+        assert config.groups and all(description.tables.groups[group] for group in config.groups), name
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        (("modes", "stand", "to"), ["fly"], ("modes.stand", "fly")),
+        (("modes", "stand", "motion"), ["hover", "hover"], ("modes.stand", "hover")),
+        (("modes", "stand", "switch"), "slowly", ("modes.stand.switch",)),
+        (("modes", "stand", "colour"), "red", ("modes.stand.colour",)),
+        (("behaviors", "fall"), "lost", ("lost",)),
+    ],
+)
+def test_a_wrong_table_is_refused_with_file_and_key(tmp_path, key, value, words):
+    content = yaml.safe_load(FILE.read_text())
+    place = content
+    for part in key[:-1]:
+        place = place[part]
+    place[key[-1]] = value
+    file = tmp_path / "modes.yaml"
+    file.write_text(yaml.safe_dump(content))
+    with pytest.raises(ConfigurationError) as error:
+        ControlModeTable.load(file)
+    for word in (str(file), *words):
+        assert word in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_documented_table_is_the_table():
+    page = (REPOSITORY / "docs" / "valor_ros_controller.md").read_text()
+    rows = {}
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if len(cells) == 7 and cells[0].strip("`") in TABLE.modes:
+            rows[cells[0].strip("`")] = cells
+    assert list(rows) == list(TABLE.modes)
+    for name, (_, bdi, upper_body, switch, motion, controllers, to) in rows.items():
+        mode = TABLE.modes[name]
+        assert (int(bdi), int(upper_body), switch) == (mode.bdi, mode.upper_body, mode.switch), name
+        assert motion == (" → ".join(mode.motion) if mode.motion else "–"), name
+        short = [controller.removesuffix("_traj_controller") for controller in mode.joint_controllers]
+        assert controllers == (", ".join(short) or "–"), name
+        assert {part.strip() for part in to.split(",")} == mode.to, name

@@ -1,0 +1,70 @@
+"""Claims and command rectification: one writer a joint, finite, within limits, no jump."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from valor_common.robot import RobotDescription
+from valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, JointClaimError, ValorEscherHWInterface
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ARM, NECK = ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")
+
+
+def test_a_joint_has_one_writer():
+    hw = ValorEscherHWInterface(ROBOT)
+    hw.claim("left", ARM)
+    hw.claim("left", ARM)
+    with pytest.raises(JointClaimError, match="other and left both write l_elbow_pitch"):
+        hw.claim("other", np.array([NECK[0], ARM[3]]))
+    hw.claim("neck", NECK), "a refused claim leaves nothing behind"
+    hw.release("left")
+    hw.claim("other", ARM)
+
+
+def test_what_is_written_follows_the_writers():
+    hw = ValorEscherHWInterface(ROBOT)
+    hw.write("neck", NECK)
+    hw.write("left", ARM)
+    assert hw.written.tolist() == sorted([*NECK.tolist(), *ARM.tolist()])
+    unchanged = hw.written
+    hw.write("left", ARM)
+    assert hw.written is unchanged
+    hw.pause("left")
+    assert hw.written.tolist() == NECK.tolist()
+    hw.release("neck")
+    assert hw.written.size == 0
+
+
+def test_offsets_of_robot_level_controllers_are_added():
+    hw = ValorEscherHWInterface(ROBOT)
+    hw.write("neck", NECK)
+    hw.time += 10_000_000
+    hw.command_offset[NECK[0]] = 0.01
+    assert hw.rectify()[0] == pytest.approx([0.01, 0.0])
+
+
+number = st.one_of(st.floats(-10, 10), st.floats(allow_nan=True, allow_infinity=True))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.lists(number, min_size=6, max_size=6), st.integers(-5, 400)), min_size=1, max_size=20))
+def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_what_was_sent(cycles):
+    hw = ValorEscherHWInterface(ROBOT)
+    hw.write("neck", NECK)
+    last = np.zeros(2)
+    speed = ROBOT.velocity_limit[NECK]
+    for values, milliseconds in cycles:
+        hw.time += milliseconds * 1_000_000
+        hw.command_position[NECK] = values[:2]
+        hw.command_velocity[NECK] = values[2:4]
+        hw.command_acceleration[NECK] = values[4:]
+        position, velocity, acceleration = hw.rectify()
+        assert np.isfinite([position, velocity, acceleration]).all()
+        assert (position >= ROBOT.lower[NECK]).all() and (position <= ROBOT.upper[NECK]).all()
+        assert (np.abs(velocity) <= speed).all()
+        assert (np.abs(position - last) <= 1.06 * speed * min(LONGEST_STEP, max(0, milliseconds) * 1e-3) + 1e-6).all()
+        last = position

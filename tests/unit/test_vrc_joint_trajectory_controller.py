@@ -1,0 +1,274 @@
+"""A joint trajectory controller over whole goals, with joints that follow, lag or stick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from valor_common.messages import MotionState
+from valor_common.robot import RobotDescription
+from valor_ros_controller.controllers.joint_trajectory_controller import (
+    ControllersTable,
+    JointTrajectoryController,
+    Outcome,
+    TrajectoryRequest,
+)
+from valor_ros_controller.trajectory import ErrorCode, InvalidTrajectoryError, Point, check_waypoints
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+CONFIG = ControllersTable.load().controllers["left_arm_traj_controller"]
+NAMES = ROBOT.tables.groups["left_arm"]
+HOME = ROBOT.nominal_posture
+PERIOD = 4_000_000
+
+
+def motion_state(behavior: str, setpoint) -> MotionState:
+    teleop = behavior.endswith("_manipulate")
+    nothing = np.zeros(3)
+    return MotionState(
+        0, 0, behavior, behavior, "teleop" if teleop else "slave", "look", "", nothing, np.array([1.0, 0, 0, 0]),
+        nothing, nothing, nothing, nothing, nothing, nothing[:2], np.ones(2, np.uint8), setpoint, nothing[:2],
+        1, 0, 0, 0.0,
+    )  # fmt: skip
+
+
+@dataclass
+class Client:
+    """Keeps what it is told."""
+
+    outcome: Outcome | None = None
+    feedbacks: list[int] = field(default_factory=list)
+
+    def finish(self, outcome: Outcome) -> None:
+        assert self.outcome is None, "finished twice"
+        self.outcome = outcome
+
+    def feedback(self, controller, hw) -> None:
+        self.feedbacks.append(hw.time)
+
+
+class Arm:
+    """The controller on its interface, and joints that follow its set-points as told."""
+
+    def __init__(self, sticky: str | None = None) -> None:
+        self.hw = ValorEscherHWInterface(ROBOT)
+        self.hw.time = 1_000_000_000
+        self.hw.position = HOME.copy()
+        self.hw.motion = motion_state("stand_manipulate", HOME.copy())
+        self.hw.situation = "control mode stand"
+        self.controller = JointTrajectoryController("left_arm_traj_controller", CONFIG, ROBOT, ["stand_manipulate"])
+        self.sticky = sticky
+        self.sent: list[np.ndarray] = []
+
+    def start(self) -> Arm:
+        self.controller.start(self.hw)
+        self.run(0.02)
+        return self
+
+    def request(self, points, goal=None, names=NAMES, start=0, goal_time=None):
+        waypoints = check_waypoints(names, points, self.controller.limits, allow_partial=True)
+        c = self.controller
+        time = CONFIG.constraints.goal_time if goal_time is None else goal_time
+        c.submit(TrajectoryRequest(waypoints, start, c.path, c.goal_tolerance, time, goal))
+
+    def run(self, seconds: float, until=lambda: False) -> None:
+        for _ in range(round(seconds * 1e9 / PERIOD)):
+            self.hw.time += PERIOD
+            self.controller.update(self.hw)
+            if self.hw.written.size:
+                position, velocity, _ = self.hw.rectify()
+                self.sent.append(position)
+                before = self.hw.position
+                self.hw.position, self.hw.velocity = before.copy(), np.zeros(len(HOME))
+                self.hw.position[self.hw.written] = position
+                self.hw.velocity[self.hw.written] = velocity
+                if self.sticky:
+                    stuck = ROBOT.index[self.sticky]
+                    self.hw.position[stuck], self.hw.velocity[stuck] = before[stuck], 0.0
+            if until():
+                return
+
+    @property
+    def arm(self) -> np.ndarray:
+        return self.hw.position[self.controller.joints]
+
+    def assert_no_jump(self) -> None:
+        sent = np.array(self.sent)
+        limit = ROBOT.velocity_limit[self.controller.joints] * 1.02 * PERIOD * 1e-9
+        assert (np.abs(np.diff(sent, axis=0)) <= limit).all()
+
+
+def target(offset: float) -> list[float]:
+    return [HOME[ROBOT.index[name]] + offset for name in NAMES]
+
+
+def point(seconds: float, offset: float) -> Point:
+    return Point(target(offset), [], [], [], seconds)
+
+
+def test_a_goal_is_reached_with_feedback_at_its_rate():
+    arm, client = Arm().start(), Client()
+    arm.request([point(1.0, 0.2), point(2.0, 0.1)], client)
+    arm.run(3.0, lambda: client.outcome is not None)
+    assert client.outcome == Outcome(ErrorCode.SUCCESSFUL, "goal reached")
+    assert arm.arm == pytest.approx(target(0.1), abs=1e-6)
+    assert len(client.feedbacks) == pytest.approx(2.0 * CONFIG.action_monitor_rate, abs=2)
+    arm.assert_no_jump()
+
+
+def test_it_begins_where_the_motion_system_commands_not_where_the_arm_sags():
+    arm = Arm()
+    arm.hw.position = HOME - 0.04
+    arm.controller.start(arm.hw)
+    arm.hw.time += PERIOD
+    arm.controller.update(arm.hw)
+    assert arm.hw.rectify()[0] == pytest.approx(HOME[np.sort(arm.controller.joints)])
+
+
+def test_it_keeps_sending_its_set_point_when_idle():
+    arm = Arm().start()
+    count = len(arm.sent)
+    arm.run(0.1)
+    assert len(arm.sent) == count + 25
+
+
+def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name():
+    arm, client = Arm(), Client()
+    arm.request([point(1.0, 0.1)], client)
+    arm.run(0.1)
+    assert client.outcome.code is ErrorCode.INVALID_GOAL
+    assert "left_arm_traj_controller" in client.outcome.text and "control mode stand" in client.outcome.text
+    assert not arm.sent
+
+
+def test_active_but_not_accepted_it_sends_nothing_and_refuses():
+    arm, client = Arm(), Client()
+    arm.hw.motion = motion_state("stand", HOME.copy())
+    arm.start()
+    arm.request([point(1.0, 0.1)], client)
+    arm.run(0.1)
+    assert client.outcome.code is ErrorCode.INVALID_GOAL and "behavior stand" in client.outcome.text
+    assert not arm.sent
+
+
+def test_a_new_goal_replaces_the_old_one_without_a_jump():
+    arm, first, second = Arm().start(), Client(), Client()
+    arm.request([point(2.0, 0.5)], first)
+    arm.run(1.0)
+    arm.request([point(1.0, -0.1)], second)
+    arm.run(2.0, lambda: second.outcome is not None)
+    assert first.outcome.code is ErrorCode.INVALID_GOAL and "preempted" in first.outcome.text
+    assert second.outcome.code is ErrorCode.SUCCESSFUL
+    assert arm.arm == pytest.approx(target(-0.1), abs=1e-6)
+    arm.assert_no_jump()
+
+
+def test_a_goal_that_cannot_begin_leaves_the_running_one_alone():
+    arm, first, second = Arm().start(), Client(), Client()
+    arm.request([point(1.0, 0.3)], first)
+    arm.run(0.5)
+    arm.request([point(0.01, -0.3)], second)
+    arm.run(1.0, lambda: first.outcome is not None)
+    assert second.outcome.code is ErrorCode.INVALID_GOAL and "rad/s" in second.outcome.text
+    assert first.outcome.code is ErrorCode.SUCCESSFUL
+
+
+def test_cancel_comes_to_rest_and_holds():
+    arm, client = Arm().start(), Client()
+    arm.request([point(2.0, 0.5)], client)
+    arm.run(1.0)
+    arm.controller.cancel(client)
+    arm.run(0.2)
+    assert client.outcome.canceled and client.outcome.code is ErrorCode.SUCCESSFUL
+    held = arm.arm
+    assert held == pytest.approx(target(0.25), abs=0.02)
+    arm.run(1.0)
+    assert (arm.arm == held).all()
+    arm.assert_no_jump()
+    arm.controller.cancel(client)  # too late: nothing happens
+    arm.run(0.1)
+    assert (arm.arm == held).all()
+
+
+def test_a_joint_that_sticks_violates_the_path_and_everything_stops():
+    arm, client = Arm(sticky="l_elbow_pitch").start(), Client()
+    arm.request([point(2.0, 0.5)], client)
+    arm.run(3.0, lambda: client.outcome is not None)
+    assert client.outcome.code is ErrorCode.PATH_TOLERANCE_VIOLATED
+    assert "l_elbow_pitch" in client.outcome.text and f"{CONFIG.constraints.trajectory:g}" in client.outcome.text
+    arm.run(0.5)
+    held = arm.arm
+    arm.run(0.5)
+    assert (arm.arm == held).all()
+
+
+def test_a_joint_short_of_the_goal_violates_it_after_the_time_allowed():
+    arm, client = Arm(sticky="l_wrist_yaw").start(), Client()
+    arm.request([point(2.0, 0.2)], client, goal_time=0.5)
+    arm.run(2.4, lambda: client.outcome is not None)
+    assert client.outcome is None, "the goal's time has not passed"
+    arm.run(0.3, lambda: client.outcome is not None)
+    assert client.outcome.code is ErrorCode.GOAL_TOLERANCE_VIOLATED
+    for word in ("l_wrist_yaw", "+0.200", "0.05 rad", "0.5 s"):
+        assert word in client.outcome.text
+
+
+def test_deactivation_aborts_with_the_reason():
+    arm, client = Arm().start(), Client()
+    arm.request([point(2.0, 0.2)], client)
+    arm.run(0.5)
+    arm.controller.stop(arm.hw, "motion_manager is silent")
+    assert client.outcome.code is ErrorCode.INVALID_GOAL and "motion_manager is silent" in client.outcome.text
+    assert arm.hw.written.size == 0
+
+
+def test_while_not_accepted_the_trajectory_waits_and_then_goes_on():
+    arm, client = Arm().start(), Client()
+    arm.request([point(1.0, 0.4)], client)
+    arm.run(0.5)
+    here = arm.arm
+    arm.hw.motion = motion_state("stand", arm.hw.position)
+    count = len(arm.sent)
+    arm.run(0.5)
+    assert len(arm.sent) == count and client.outcome is None
+    arm.hw.motion = motion_state("stand_manipulate", arm.hw.position)
+    arm.run(0.004)
+    assert arm.arm == pytest.approx(here, abs=0.005)
+    arm.run(1.0, lambda: client.outcome is not None)
+    assert client.outcome.code is ErrorCode.SUCCESSFUL
+    arm.assert_no_jump()
+
+
+def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_the_arm_stays():
+    arm, client = Arm().start(), Client()
+    arm.request([point(1.0, 0.4)], client)
+    arm.run(0.5)
+    arm.hw.motion = motion_state("stand", HOME)
+    arm.run(0.1)
+    arm.hw.motion = motion_state("stand_manipulate", HOME)
+    arm.hw.position = HOME.copy()
+    arm.run(0.1)
+    assert client.outcome.code is ErrorCode.INVALID_GOAL and "moved l_" in client.outcome.text
+    assert arm.arm == pytest.approx(target(0.0))
+
+
+def test_goal_tolerances_override_the_defaults():
+    c = Arm().controller
+    over = c.goal_tolerance.override(
+        [("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance"
+    )
+    elbow, wrist = NAMES.index("l_elbow_pitch"), NAMES.index("l_wrist_yaw")
+    assert over.position[elbow] == 0.5 and over.velocity[elbow] == c.goal_tolerance.velocity[elbow]
+    assert np.isinf(over.position[wrist]) and np.isinf(over.velocity[wrist])
+    for entries, words in (
+        ([("l_tail", 0.1, 0.0)], ("l_tail", "goal_tolerance")),
+        ([("l_wrist_yaw", float("nan"), 0.0)], ("l_wrist_yaw", "nan")),
+        ([("l_wrist_yaw", -0.5, 0.0)], ("-0.5",)),
+    ):
+        with pytest.raises(InvalidTrajectoryError) as error:
+            c.goal_tolerance.override(entries, NAMES, "goal_tolerance")
+        assert all(word in str(error.value) for word in words)

@@ -1,0 +1,68 @@
+"""The links and frames of tf stand where MuJoCo's kinematics puts them."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from valor_common.errors import ConfigurationError
+from valor_common.model import full_model
+from valor_common.robot import RobotDescription
+from valor_ros_controller.kinematic_tree import KinematicTree
+from valor_ros_controller.ros.transforms import LinkTransforms, multiply, rotate
+
+ROBOTS = Path(__file__).resolve().parents[2] / "robots"
+
+
+@pytest.mark.parametrize("name", [path.parent.name for path in ROBOTS.glob("*/robot.yaml")])
+def test_links_and_frames_stand_where_mujoco_puts_them(name):
+    robot = RobotDescription.load(ROBOTS / name)
+    tree = KinematicTree.load(robot)
+    model = full_model(robot)
+    data = mujoco.MjData(model.mj)
+    rng = np.random.default_rng(1)
+    angles = rng.uniform(-1.0, 1.0, len(robot.joints))
+    base_position, base_orientation = rng.normal(size=3), np.array([0.5, -0.5, 0.1, 0.7])
+    base_orientation /= np.linalg.norm(base_orientation)
+    data.qpos[:7] = (*base_position, *base_orientation)
+    data.qpos[model.qpos] = angles[model.joint_indices]
+    mujoco.mj_kinematics(model.mj, data)
+
+    transforms = LinkTransforms(tree, robot)
+    transforms.update(angles)
+    poses = {tree.base: (base_position, base_orientation)}
+    for i, link in enumerate(tree.links):
+        position, orientation = poses[link.parent]
+        poses[link.name] = (
+            position + rotate(orientation, transforms.position[i]),
+            multiply(orientation, transforms.orientation[i]),
+        )
+    assert len(poses) == model.mj.nbody - 1
+    for link, (position, orientation) in poses.items():
+        body = model.body(link)
+        assert position == pytest.approx(data.xpos[body], abs=1e-12), link
+        assert abs(orientation @ data.xquat[body]) == pytest.approx(1.0), link
+    for side in ("left", "right"):
+        sole = getattr(robot.tables.feet, side).sole
+        frame = next(frame for frame in tree.frames if frame.target == sole)
+        in_base = transforms.in_base(frame.link, np.array(frame.position))
+        assert base_position + rotate(base_orientation, in_base) == pytest.approx(data.site_xpos[model.site(sole)])
+
+
+def test_rep_120_frames_are_there():
+    tree = KinematicTree.load(RobotDescription.load(ROBOTS / "escher"))
+    names = {tree.base_frame, *(link.name for link in tree.links), *(frame.name for frame in tree.frames)}
+    wanted = {"base_link", "torso", "gaze"} | {
+        f"{side}_{part}" for side in "lr" for part in ("wrist", "gripper", "ankle", "sole", "toe")
+    }
+    assert wanted <= names
+
+
+def test_a_model_that_cannot_be_read_is_one_line_with_the_file(tmp_path):
+    robot = RobotDescription.load(ROBOTS / "escher")
+    (tmp_path / "robot.yaml").write_text((robot.folder / "robot.yaml").read_text())
+    (tmp_path / robot.tables.model).write_text("<mujoco><worldbody/></mujoco>")
+    with pytest.raises(ConfigurationError, match=robot.tables.model) as error:
+        KinematicTree.load(RobotDescription.load(tmp_path))
+    assert "\n" not in str(error.value)
