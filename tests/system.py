@@ -73,7 +73,7 @@ class RosClient:
     """An ordinary ROS 2 node that knows only public names; spins in a thread of its own."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_BUILTIN_TRANSPORTS"):
+        for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
             os.environ[key] = environment[key]
         import rclpy
         from control_msgs.action import FollowJointTrajectory

@@ -56,6 +56,11 @@ def profile_file(profile: str) -> Path:
     )
 
 
+def middleware_profile() -> Path:
+    """Fast DDS' configuration for an instance that lives on one computer."""
+    return _root() / "deploy" / "fastdds.xml"
+
+
 def example_file(name: str) -> Path:
     """A program of ``examples``, which come with a checkout only.
 

@@ -33,6 +33,8 @@ from vigir_footstep_planning_msgs.msg import (
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
+from valor_common.resources import middleware_profile
+
 POINT, MULTI = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 TOLERANCES = {"position": "double", "velocity": "double", "acceleration": "double"}
 HEADER = {"header": "std_msgs/Header"}
@@ -168,8 +170,8 @@ def test_constants_are_the_public_ones(message: type) -> None:
 @pytest.fixture
 def node(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Node, SingleThreadedExecutor]]:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(ros_domain))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT")
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(middleware_profile()))
     context = Context()
     rclpy.init(context=context)
     made = rclpy.create_node("client", context=context)

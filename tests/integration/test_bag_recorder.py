@@ -210,6 +210,14 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
         assert description.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
 
 
+def test_ros_stays_on_the_loopback_interface_and_out_of_shared_memory(instance: RunningInstance, ros: Node) -> None:
+    recorder(instance)
+    process = psutil.Process(instance.process("bag_recorder").pid)
+    addresses = {connection.laddr.ip for connection in process.net_connections("udp")}
+    assert addresses == {"127.0.0.1", "239.255.0.1"}  # the latter: discovery's multicast group
+    assert not [area.path for area in process.memory_maps() if "/dev/shm/fast" in area.path]
+
+
 def test_two_thousand_messages_a_second_are_all_kept(instance: RunningInstance) -> None:
     path = recorder(instance)
     node = instance.node()
