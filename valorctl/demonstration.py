@@ -14,7 +14,7 @@ from valor_common.resources import example_file
 from valor_common.robot import RobotDescription
 from valorctl import instance_setup, shutdown, startup
 from valorctl.console import Progress
-from valorctl.interruption import Interruption
+from valorctl.interruption import InterruptedBySignalError, Interruption
 
 NAME = "demo"
 PROGRAM = "stand_and_reach.py"
@@ -23,17 +23,14 @@ GROUPS = ("right_arm", "neck")
 _PROGRAM_TIMEOUT = 300.0  # [s]
 
 
-def run(instance: Instance, out: Path, progress: Progress, interruption: Interruption) -> list[Path]:
-    """Run the demonstration. Whatever happens, nothing goes on running behind it.
+def run(instance: Instance, out: Path, progress: Progress, interruption: Interruption) -> None:
+    """Run the demonstration, and tell where bag, measurements and pictures are. Nothing goes on running behind it.
 
     Args:
         instance: of the demonstration's own.
         out: the folder for what it leaves.
         progress: told how it goes on.
         interruption: ends it early.
-
-    Returns:
-        The files made: bag, measurements, pictures.
 
     Raises:
         ValorError: a part of it failed; says which.
@@ -48,14 +45,26 @@ def run(instance: Instance, out: Path, progress: Progress, interruption: Interru
         raise ValorError(f"{error.filename}: {error.strerror}") from None
     plan = instance_setup.plan(instance_setup.Request(actuators="hardware", bag=bag))
     settings = startup.bring_up(instance, plan, progress, interruption)
+    failure: ValorError | None = None
     try:
         _run_client(instance, program, measurements, interruption)
+    except InterruptedBySignalError:
+        raise
+    except ValorError as error:
+        failure = error  # the pictures may show why
     finally:
         progress.waiting("shutting down")
         with instance_setup.changing(instance):
             shutdown.take_down(instance)
         progress.done("everything is shut down")
-    return [bag, measurements, *_draw(bag, RobotDescription.load(settings.robot), out, progress, interruption)]
+    try:
+        files = [bag, measurements, *_draw(bag, RobotDescription.load(settings.robot), out, progress, interruption)]
+    except ValorError as error:
+        raise failure or error from None
+    for file in files:
+        progress.done(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+    if failure:
+        raise failure
 
 
 def _run_client(instance: Instance, program: Path, measurements: Path, interruption: Interruption) -> None:

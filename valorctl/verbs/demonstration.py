@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from valor_common.instance import Instance
-from valorctl.console import progress, say
+from valorctl.console import progress
 
 
 def register(app: typer.Typer) -> None:
@@ -26,6 +26,4 @@ def demo(
 
     instance = Instance.from_environment(os.environ.get("VALOR_INSTANCE") or demonstration.NAME)
     with progress() as shown, Interruption() as interruption:
-        files = demonstration.run(instance, out.expanduser().absolute(), shown, interruption)
-    for file in files:
-        say(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+        demonstration.run(instance, out.expanduser().absolute(), shown, interruption)
