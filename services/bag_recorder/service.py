@@ -208,6 +208,9 @@ class _Notes:
             return []
 
     def _write(self, paths: list[Path]) -> None:
+        if not paths:
+            self._file.unlink(missing_ok=True)
+            return
         beside = self._file.with_suffix(".new")
         beside.write_text(json.dumps({"unfinished": [str(path) for path in paths]}))
         os.replace(beside, self._file)
