@@ -52,6 +52,9 @@ class Plant:
         mj.dof_frictionloss[self.model.dof] = np.minimum(table.friction, table.friction_share * robot.effort_limit)
         # A plant that diverges must be seen, not put back on its feet.
         mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        # One robot is one island, and each contact moves few of its joints: a fifth off the time of a step.
+        mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+        mj.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         self.data = mujoco.MjData(mj)
         mujoco.mj_setConst(mj, self.data)
         self.data.qpos[:] = self.model.nominal_qpos()
