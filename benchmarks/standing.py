@@ -1,0 +1,166 @@
+"""What standing costs: tick time, deadlines, real-time factor, CPU and memory of every process of a live system.
+
+Starts the whole system with ``valorctl up`` for each clock and seed (profile ``hardware``: plant and controller differ),
+lets the robot stand, listens, and prints two tables. The load of the machine stands beside the numbers: on a shared
+machine medians can be trusted, the tails measure the neighbours.
+
+    .venv/bin/python benchmarks/standing.py [--seconds 60] [--seeds 0 1 2] [--clocks lockstep realtime]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import bifrost
+from valor_common.instance import Instance
+from valor_common.messages import GroundTruth, MotionState, Statistics
+from valor_common.topics import GROUND_TRUTH, MOTION_STATE, STATISTICS
+
+VALORCTL = Path(sys.executable).with_name("valorctl")
+SAMPLE_PERIOD = 1.0  # of the CPU and memory of processes [s]
+
+
+@dataclass
+class Run:
+    """What one run measured."""
+
+    clock: str
+    seed: int
+    ticks: np.ndarray  # [s], from Proprioceptor received to Motor sent
+    height: np.ndarray  # true pelvis height [m]
+    drift: float  # true pelvis, horizontally, from first to last [m]
+    overruns: dict[str, int]
+    cycles: dict[str, int]
+    status: dict[str, Any]
+    load: float
+    cpu: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    memory: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+
+
+def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
+    """Start, stand, listen, stop."""
+    name = f"standing-{clock}-{seed}"
+    environment = os.environ | {"VALOR_HOME": str(home), "VALOR_INSTANCE": name}
+
+    def valorctl(*arguments: str) -> str:
+        result = subprocess.run(
+            [str(VALORCTL), *arguments], env=environment, capture_output=True, text=True, check=False
+        )
+        if result.returncode:
+            sys.exit(f"valorctl {' '.join(arguments)}: {result.stderr.strip()}")
+        return result.stdout
+
+    valorctl("up", "--clock", clock, "--seed", str(seed), "--actuators", "hardware")
+    try:
+        instance = Instance(name, home)
+        with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+            states = node.subscriber(MOTION_STATE.name, MotionState, queue=2000)
+            truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=2000)
+            statistics = {service: node.subscriber(topic.name, Statistics) for service, topic in STATISTICS.items()}
+            ticks: list[float] = []
+            truth: list[GroundTruth] = []
+            first: dict[str, Statistics] = {}
+            last: dict[str, Statistics] = {}
+            cpu: dict[str, list[float]] = defaultdict(list)
+            memory: dict[str, list[float]] = defaultdict(list)
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                time.sleep(0.25)
+                ticks.extend(received.message.tick_time for received in states.drain())
+                truth.extend(received.message for received in truths.drain())
+                for service, subscriber in statistics.items():
+                    if received := subscriber.latest():
+                        first.setdefault(service, received.message)
+                        last[service] = received.message
+                        cpu[service].append(received.message.cpu_percent)
+                        memory[service].append(received.message.memory_mib)
+        status = json.loads(valorctl("status", "--json"))
+        for service in status["services"]:
+            if service["name"] not in cpu:  # bifrostd answers for itself
+                cpu[service["name"]].append(service["cpu_percent"])
+                memory[service["name"]].append(service["memory_mib"])
+    finally:
+        valorctl("down")
+    pelvis = np.array([sample.pelvis_position_in_world for sample in truth])
+    return Run(
+        clock=clock,
+        seed=seed,
+        ticks=np.array(ticks),
+        height=pelvis[:, 2],
+        drift=float(np.linalg.norm(pelvis[-1, :2] - pelvis[0, :2])),
+        overruns={service: last[service].overruns - first[service].overruns for service in last},
+        cycles={service: last[service].cycles - first[service].cycles for service in last},
+        status=status,
+        load=os.getloadavg()[0],
+        cpu=cpu,
+        memory=memory,
+    )
+
+
+def main() -> None:
+    """Measure every case and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--clocks", nargs="+", default=["lockstep", "realtime"], choices=["lockstep", "realtime"])
+    arguments = parser.parse_args()
+    console = Console()
+    runs: list[Run] = []
+    with tempfile.TemporaryDirectory(prefix="valor-") as home:
+        for clock in arguments.clocks:
+            for seed in arguments.seeds:
+                console.print(f"{clock}, seed {seed}: standing for {arguments.seconds:g} s …")
+                runs.append(measure(Path(home), clock, seed, arguments.seconds))
+
+    table = Table(title=f"Standing for {arguments.seconds:g} s at 500 Hz, {os.cpu_count()} cores")
+    for heading in ("clock", "seed", "tick median [ms]", "p99", "max", "misses of 2 ms", "real-time factor", "slip [s]",
+                    "pelvis height ± [mm]", "drift [mm]", "behavior", "load"):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for run in runs:
+        milliseconds = run.ticks * 1e3
+        misses, cycles = run.overruns["motion_manager"], run.cycles["motion_manager"]
+        table.add_row(
+            run.clock,
+            str(run.seed),
+            f"{np.median(milliseconds):.3f}",
+            f"{np.percentile(milliseconds, 99):.3f}",
+            f"{milliseconds.max():.2f}",
+            f"{misses} of {cycles} ({100 * misses / max(1, cycles):.2f} %)",
+            f"{run.status['clock']['real_time_factor']:.3f}",
+            f"{run.status['clock']['slip_s']:.2f}",
+            f"{np.ptp(run.height) * 500:.2f}",
+            f"{run.drift * 1e3:.2f}",
+            run.status["behavior"],
+            f"{run.load:.1f}",
+        )
+    console.print(table)
+
+    table = Table(title="Processes, mean over the runs")
+    for heading in ("process", "CPU [% of a core]", "memory [MiB]", "restarts"):
+        table.add_column(heading, justify="left" if heading == "process" else "right")
+    for service in (entry["name"] for entry in runs[0].status["services"]):
+        table.add_row(
+            service,
+            f"{np.mean(np.concatenate([run.cpu[service] for run in runs])):.1f}",
+            f"{np.mean(np.concatenate([run.memory[service] for run in runs])):.0f}",
+            str(sum(entry["restarts"] for run in runs for entry in run.status["services"] if entry["name"] == service)),
+        )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
