@@ -75,7 +75,11 @@ class MotionManagerService:
         while not self._context.stopping.is_set():
             received = self._proprioceptor.receive(NAP)
             began = time.perf_counter()
-            if received is not None:
+            if received is not None and received.origin != PROPRIOCEPTOR.publisher:
+                # A bag played back into a running system must not be taken for the robot.
+                reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.publisher}"
+                self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
+            elif received is not None:
                 heard = began
                 self._tick(received.message, began)
                 self._attend()

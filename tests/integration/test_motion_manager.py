@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from valor_common.messages import (
     JointSetpoints,
     MotionState,
     Motor,
+    Proprioceptor,
     PushReply,
     PushRequest,
     Rejection,
@@ -34,6 +37,7 @@ from valor_common.topics import (
     JOINT_SETPOINTS,
     MOTION_STATE,
     MOTOR,
+    PROPRIOCEPTOR,
     PUSH,
     REJECTION,
     STATISTICS,
@@ -221,13 +225,13 @@ def test_stand_prep_answers_why_stand_is_refused(instance: RunningInstance) -> N
     assert all("stand_prep" in reason or "foot" in reason for reason in refusals), refusals
 
 
-@pytest.mark.parametrize("behavior", ["step", "walk", "step_manipulate", "walk_manipulate", "get_up"])
-def test_what_this_build_cannot_do_is_refused_by_name(instance: RunningInstance, behavior: str) -> None:
+def test_what_this_build_cannot_do_is_refused_by_name(instance: RunningInstance) -> None:
     system = MotionSystem(instance)
-    reply = system.request(behavior)
-    assert not reply.accepted
-    assert "is not available: " in reply.reason
-    assert reply.behavior == Behavior.STAND_PREP
+    for behavior in ("step", "walk", "step_manipulate", "walk_manipulate", "get_up"):
+        reply = system.request(behavior)
+        assert not reply.accepted
+        assert "is not available: " in reply.reason
+        assert reply.behavior == Behavior.STAND_PREP
 
 
 def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(instance: RunningInstance) -> None:
@@ -375,6 +379,40 @@ def test_the_motion_system_runs_where_ros_cannot_be_imported(instance: RunningIn
         assert Path(f"{marker}-{instance.process(name).pid}").exists(), f"{name} ran without the blocker"
     system.stand()
     system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+@pytest.mark.parametrize("name", ["motion_manager", "comms_manager"])
+def test_a_process_that_stands_still_for_a_moment_is_no_fall(instance: RunningInstance, name: str) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    system.pass_time(0.5)
+    process = instance.process(name)
+    process.send_signal(signal.SIGSTOP)
+    try:
+        time.sleep(0.3)
+    finally:
+        process.send_signal(signal.SIGCONT)
+    system.pass_time(1.0)
+    assert set(system.behaviors()) <= {"stand_prep", "stand"}
+    assert system.height > STANDING
+
+
+def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(instance: RunningInstance) -> None:
+    system = MotionSystem(instance)
+    system.stand()
+    recorded = instance.node("other").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+    said = wait_until(recorded.latest, 20.0, "a Proprioceptor").message
+    replayed = instance.node("player").publisher(PROPRIOCEPTOR.name, Proprioceptor)
+
+    def play() -> bool:
+        said.sequence, said.time, said.imu_orientation = 1, 1, np.array([0.0, 1.0, 0.0, 0.0])
+        replayed.publish(said)
+        system.look()
+        return any("comes from player; expected comms_manager" in rejection.reason for rejection in system.rejections)
+
+    wait_until(play, 20.0, "the replay refused")
+    assert system.pass_time(1.0).behavior == Behavior.STAND
     assert system.height > STANDING
 
 
