@@ -1,0 +1,396 @@
+"""The VRC between a real Motion System, a simulated robot and an ordinary ROS 2 client."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bifrost
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.system import RosClient
+from valor_common.instance import Instance, Settings
+from valor_common.messages import (
+    ControlModeReport,
+    JointSetpoints,
+    MotionState,
+    Proprioceptor,
+    Rejection,
+    Statistics,
+)
+from valor_common.robot import RobotDescription
+from valor_common.topics import (
+    CONTROL_MODE,
+    JOINT_SETPOINTS,
+    MOTION_STATE,
+    PROPRIOCEPTOR,
+    REJECTION,
+    VALOR_ROS_CONTROLLER_STATISTICS,
+)
+
+VRC = "valor_ros_controller"
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+HOME = ROBOT.tables.arm_presets["home"]["right"]
+FORWARD = ROBOT.tables.arm_presets["forward"]["right"]
+SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP = 0, -1, -2, -3
+ACCEPTED, REJECTED, DUPLICATE, EXTERNAL_CHANGE = 1, 2, 16, 32
+INVALID_MODE, INVALID_TRANSITION = 1024, 2048
+STATUS_SUCCEEDED, STATUS_CANCELED, STATUS_ABORTED = 4, 5, 6
+PATIENCE = 60.0  # [s]
+
+
+@pytest.fixture(scope="module")
+def system() -> Iterator[RunningInstance]:
+    """A robot on its feet: everything but recorder and footsteps, in real time."""
+    home = Path(tempfile.mkdtemp(prefix="valor-"))
+    made = Instance("vrc", home)
+    made.logs.mkdir(parents=True)
+    made.bags.mkdir()
+    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=165, real_time_factor=1.0)
+    made.settings_file.write_text(settings.model_dump_json())
+    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
+    try:
+        for name in ("bifrostd", "comms_manager", "motion_manager", VRC):
+            running.start(name)
+        running.wait_ready(VRC, PATIENCE)
+        yield running
+    finally:
+        running.close()
+        shutil.rmtree(home, ignore_errors=True)
+
+
+@pytest.fixture(scope="module")
+def ros(system: RunningInstance) -> Iterator[RosClient]:
+    client = RosClient(system.environment)
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="module")
+def node(system: RunningInstance) -> bifrost.Node:
+    return system.node("vrc_test")
+
+
+def go(ros: RosClient, mode: str) -> None:
+    """Be in a mode; stand is given only once Stand Prep is done."""
+
+    def there() -> bool:
+        result = ros.change_mode(mode)
+        return bool(result.status & ACCEPTED) and result.current_control_mode == mode
+
+    wait_until(there, PATIENCE, f"control mode {mode}", period=0.2)
+
+
+@pytest.fixture
+def manipulating(ros: RosClient) -> RosClient:
+    go(ros, "stand")
+    go(ros, "stand_manipulate")
+    return ros
+
+
+def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
+    positions = ros.joint_positions()
+    return {name: abs(positions[name] - value) for name, value in target.items()}
+
+
+class Topic:
+    """All messages of a ROS topic, with whatever quality of service its publisher offers."""
+
+    def __init__(self, ros: RosClient, message_type: type, name: str, *, latched: bool = False) -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+        if latched:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        self.messages: list[Any] = []
+        self._ros = ros
+        self._subscription = ros.node.create_subscription(message_type, name, self.messages.append, qos)
+        ros._executor.wake()
+
+    def close(self) -> None:
+        self._ros.node.destroy_subscription(self._subscription)
+
+
+def stamp(message: Any) -> int:
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, node: bifrost.Node) -> None:
+    from sensor_msgs.msg import Imu, JointState
+
+    senses = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=10_000)
+    states, imu = Topic(ros, JointState, "/joint_states"), Topic(ros, Imu, "/imu/data")
+    measured: dict[int, Proprioceptor] = {}
+
+    def gathered() -> bool:
+        measured.update((received.message.time, received.message) for received in senses.drain())
+        return len(states.messages) > 250 and len(imu.messages) > 250
+
+    wait_until(gathered, PATIENCE, "a second of joint states")
+    states.close()
+    imu.close()
+    senses.close()
+    matched = [(state, measured[stamp(state)]) for state in states.messages if stamp(state) in measured]
+    assert len(matched) > 0.8 * len(states.messages), "stamps are not those of Proprioceptor"
+    for state, sense in matched:
+        assert list(state.name) == list(ROBOT.joints)
+        assert np.array_equal(state.position, sense.joint_position)
+        assert np.array_equal(state.velocity, sense.joint_velocity)
+        assert np.array_equal(state.effort, sense.joint_effort)
+    steps = np.diff(sorted(stamp(state) for state in states.messages)) * 1e-9 * ROBOT.tables.control_rate
+    assert np.median(steps) == pytest.approx(2.0), "every second Proprioceptor"
+    for message in imu.messages:
+        if (sense := measured.get(stamp(message))) is not None:
+            q = message.orientation
+            assert [q.w, q.x, q.y, q.z] == sense.imu_orientation.tolist()
+    assert imu.messages[0].header.frame_id == "imu_link"
+
+
+def test_tf_odometry_and_clock(ros: RosClient) -> None:
+    from nav_msgs.msg import Odometry
+    from rosgraph_msgs.msg import Clock
+    from tf2_msgs.msg import TFMessage
+
+    fixed, moving = Topic(ros, TFMessage, "/tf_static", latched=True), Topic(ros, TFMessage, "/tf")
+    odom, clock = Topic(ros, Odometry, "/odom"), Topic(ros, Clock, "/clock")
+    topics = (fixed, moving, odom, clock)
+    wait_until(lambda: all(topic.messages for topic in topics), PATIENCE, "tf, odometry and clock")
+    parents = {
+        transform.child_frame_id: transform.header.frame_id
+        for message in (fixed.messages[0], moving.messages[0])
+        for transform in message.transforms
+    }
+    for frame in ("l_sole", "r_gripper", "gaze", "torso", "imu_link", "pelvis", "base_footprint"):
+        chain = [frame]
+        while chain[-1] in parents:
+            chain.append(parents[chain[-1]])
+            assert len(chain) < 30, f"a loop above {frame}"
+        assert chain[-1] == "odom", f"{frame} hangs from {chain[-1]}"
+    height = odom.messages[-1].pose.pose.position.z
+    assert 0.5 < height < 1.2
+    footprint = next(t for t in moving.messages[-1].transforms if t.child_frame_id == "base_footprint")
+    assert abs(footprint.transform.translation.z) < 0.1
+    assert clock.messages[-1].clock.sec * 10**9 + clock.messages[-1].clock.nanosec > 0
+    for topic in topics:
+        topic.close()
+
+
+def test_modes(ros: RosClient, node: bifrost.Node) -> None:
+    go(ros, "stand")
+    reports = node.subscriber(CONTROL_MODE.name, ControlModeReport, queue=1000)
+    repeat = ros.change_mode("STAND")
+    assert repeat.status == ACCEPTED | DUPLICATE and repeat.current_control_mode == "stand"
+    for name, status in (("dance", REJECTED | INVALID_MODE), ("none", REJECTED | INVALID_TRANSITION)):
+        result = ros.change_mode(name)
+        assert (result.status, result.current_control_mode) == (status, "stand")
+    result = ros.change_mode("Stand_Manipulate")
+    assert (result.status, result.current_control_mode) == (ACCEPTED, "stand_manipulate")
+    wait_until(
+        lambda: [r for _, r in ros.reports if r.current_control_mode == "stand_manipulate" and r.status == ACCEPTED],
+        PATIENCE,
+        "the report of stand_manipulate on ROS",
+    )
+    assert any(report.status & 8 for _, report in ros.reports), "no report said that the change is processed"
+    seen: list[ControlModeReport] = []
+
+    def twin() -> bool:
+        seen.extend(received.message for received in reports.drain())
+        return bool(seen) and seen[-1].current_control_mode == "stand_manipulate"
+
+    wait_until(twin, PATIENCE, "the report on Bifrost")
+    assert seen[-1].behavior == "stand_manipulate"
+    reports.close()
+
+
+def test_the_topic_changes_modes_and_an_emergency_stop_keeps_the_balance(ros: RosClient, node: bifrost.Node) -> None:
+    from vigir_humanoid_control_msgs.msg import VigirControlModeCommand
+
+    go(ros, "stand")
+    publisher = ros.node.create_publisher(VigirControlModeCommand, "/flor/controller/mode_command", 1)
+    wait_until(lambda: publisher.get_subscription_count() > 0, PATIENCE, "the VRC to listen to mode_command")
+    publisher.publish(VigirControlModeCommand(requested_control_mode=VigirControlModeCommand.EMERGENCY_STOP))
+    wait_until(lambda: ros.reports and ros.reports[-1][1].current_control_mode == "soft_stop", PATIENCE, "soft_stop")
+    state = node.subscriber(MOTION_STATE.name, MotionState)
+    received = state.receive(PATIENCE)
+    assert received is not None and received.message.behavior == "soft_stop"
+    state.close()
+    publisher.publish(VigirControlModeCommand(requested_control_mode="stand"))
+    wait_until(lambda: ros.reports[-1][1].current_control_mode == "stand", PATIENCE, "stand")
+    # What is no message at all leaves the VRC unmoved.
+    publisher.publish(b"\x00\x01\x00\x00" + b"\xff" * 40)
+    assert ros.change_mode("stand").status == ACCEPTED | DUPLICATE
+    ros.node.destroy_publisher(publisher)
+
+
+def test_goals_are_refused_in_stand(ros: RosClient) -> None:
+    go(ros, "stand")
+    before = ros.joint_positions()
+    answer = ros.follow("right_arm", [(2.0, FORWARD)])
+    assert answer.status == STATUS_ABORTED and answer.result.error_code == INVALID_GOAL
+    assert "right_arm_traj_controller" in answer.result.error_string and "stand" in answer.result.error_string
+    assert max(errors(ros, {name: before[name] for name in FORWARD}).values()) < 0.02
+
+
+def test_arm_and_neck_reach_their_goals_without_a_jump(manipulating: RosClient, node: bifrost.Node) -> None:
+    setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=10_000)
+    wait_until(setpoints.ready, PATIENCE, "set-points")
+    answer = manipulating.follow("right_arm", [(0.5, HOME), (2.5, FORWARD)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    assert answer.status == STATUS_SUCCEEDED
+    neck = {"neck_yaw": 0.4, "neck_pitch": 0.2}
+    answer = manipulating.follow("neck", [(1.0, neck)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    target = FORWARD | neck
+    wait_until(lambda: max(errors(manipulating, target).values()) < 0.02, PATIENCE, "the arm within 0.02 rad")
+    messages = [received.message for received in setpoints.drain()]
+    assert setpoints.drops == 0 and len(messages) > 500
+    setpoints.close()
+    names = messages[0].names
+    limit = np.array([ROBOT.velocity_limit[ROBOT.index[name]] for name in names])
+    for before, after in itertools.pairwise(messages):
+        seconds = max((after.time - before.time) * 1e-9, 0.004)
+        assert (np.abs(after.position - before.position) <= 1.06 * limit * seconds + 1e-6).all(), "a jump"
+    manipulating.follow("right_arm", [(2.0, HOME)])
+
+
+def test_broken_goals_are_refused_and_nothing_moves(manipulating: RosClient) -> None:
+    before = manipulating.joint_positions()
+    broken = [
+        ([(3.0, FORWARD | {"r_tail_wag": 0.1})], INVALID_JOINTS, "r_tail_wag"),
+        ([(3.0, {"r_elbow_pitch": 0.1})], INVALID_JOINTS, "missing"),
+        ([(3.0, FORWARD | {"r_elbow_pitch": math.nan})], INVALID_GOAL, "r_elbow_pitch"),
+        ([(3.0, FORWARD | {"r_wrist_yaw": math.inf})], INVALID_GOAL, "r_wrist_yaw"),
+        ([(3.0, FORWARD | {"r_elbow_pitch": 9.0})], INVALID_GOAL, "3.665"),
+        ([(0.2, FORWARD)], INVALID_GOAL, "2.094 rad/s"),
+        ([(3.0, FORWARD), (2.0, HOME)], INVALID_GOAL, "not after"),
+        ([(3.0, HOME), (3.1, FORWARD)], INVALID_GOAL, "between points 0 and 1"),
+    ]
+    for points, code, word in broken:
+        answer = manipulating.follow("right_arm", points)
+        assert answer.status == STATUS_ABORTED, word
+        assert answer.result.error_code == code and word in answer.result.error_string, answer.result
+    assert max(errors(manipulating, {name: before[name] for name in FORWARD}).values()) < 0.02
+
+
+def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
+    """A goal under way."""
+    from builtin_interfaces.msg import Duration
+    from control_msgs.action import FollowJointTrajectory
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = list(target)
+    point = JointTrajectoryPoint(positions=list(target.values()), time_from_start=Duration(sec=int(seconds)))
+    goal.trajectory.points = [point]
+    client = ros._trajectory["right_arm"]
+    assert client.wait_for_server(PATIENCE)
+    handle = ros._wait(client.send_goal_async(goal), PATIENCE, "an answer to the goal")
+    assert handle.accepted
+    return handle
+
+
+def test_a_canceled_goal_holds(manipulating: RosClient) -> None:
+    manipulating.follow("right_arm", [(2.0, HOME)])
+    handle = send(manipulating, FORWARD, 6.0)
+    elbow = "r_shoulder_pitch"
+    wait_until(lambda: abs(manipulating.joint_positions()[elbow] - HOME[elbow]) > 0.15, PATIENCE, "the arm to move")
+    manipulating._wait(handle.cancel_goal_async(), PATIENCE, "the cancellation")
+    answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    assert answer.status == STATUS_CANCELED
+    time.sleep(0.5)
+    held = manipulating.joint_positions()
+    time.sleep(1.0)
+    assert max(errors(manipulating, {name: held[name] for name in FORWARD}).values()) < 0.02
+    assert abs(held[elbow] - FORWARD[elbow]) > 0.2, "the arm went to the goal"
+
+
+def test_leaving_the_mode_aborts_the_goal(manipulating: RosClient) -> None:
+    handle = send(manipulating, FORWARD, 6.0)
+    assert manipulating.change_mode("stand").status == ACCEPTED
+    answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    assert answer.status == STATUS_ABORTED and "control mode stand" in answer.result.error_string
+
+
+def test_mode_changes_do_not_make_the_motion_system_refuse_set_points_for_long(
+    manipulating: RosClient, node: bifrost.Node
+) -> None:
+    rejections = node.subscriber(REJECTION.name, Rejection, queue=1000)
+    for mode in ("stand", "stand_manipulate", "manipulate", "stand", "stand_manipulate"):
+        assert manipulating.change_mode(mode).status == ACCEPTED
+    time.sleep(0.5)
+    assert manipulating.change_mode("stand_manipulate").status == ACCEPTED | DUPLICATE
+    time.sleep(0.5)
+    late = rejections.latest()
+    assert late is None or late.message.count < 200, "set-points go on being sent where they are not accepted"
+    rejections.close()
+
+
+def test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold(
+    system: RunningInstance, manipulating: RosClient, node: bifrost.Node
+) -> None:
+    held = manipulating.joint_positions()
+    system.kill(VRC)
+    state = node.subscriber(MOTION_STATE.name, MotionState)
+    manipulating.reports.clear()
+    system.start(VRC)
+    system.wait_ready(VRC, PATIENCE)
+    wait_until(lambda: manipulating.reports, PATIENCE, "a report of the restarted VRC")
+    wait_until(
+        lambda: manipulating.reports[-1][1].current_control_mode == "stand_manipulate", PATIENCE, "the true mode"
+    )
+    assert manipulating.reports[-1][1].status == EXTERNAL_CHANGE
+    received = state.receive(PATIENCE)
+    assert received is not None and received.message.behavior == "stand_manipulate"
+    state.close()
+    assert max(errors(manipulating, {name: held[name] for name in FORWARD}).values()) < 0.05
+    answer = manipulating.follow("right_arm", [(2.0, HOME)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+
+
+def test_a_dead_motion_manager_aborts_goals_by_name_and_its_return_is_followed(
+    system: RunningInstance, manipulating: RosClient
+) -> None:
+    handle = send(manipulating, FORWARD, 6.0)
+    system.kill("motion_manager")
+    answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    assert answer.status == STATUS_ABORTED and "motion_manager is silent" in answer.result.error_string
+    refused = manipulating.change_mode("stand")
+    assert refused.status == REJECTED | 512
+    system.start("motion_manager")
+    wait_until(
+        lambda: manipulating.reports[-1][1].current_control_mode in ("stand_prep", "stand"),
+        PATIENCE,
+        "the mode of the restarted Motion Manager",
+    )
+
+
+def test_a_dead_comms_manager_is_named_and_its_return_is_followed(
+    system: RunningInstance, ros: RosClient, node: bifrost.Node
+) -> None:
+    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics)
+
+    def detail() -> str:
+        received = statistics.receive(1.0)
+        return received.message.detail if received else ""
+
+    system.kill("comms_manager")
+    wait_until(lambda: "comms_manager" in detail(), PATIENCE, "the VRC to name the silent process")
+    system.start("comms_manager")
+    system.wait_ready(VRC, PATIENCE)
+    statistics.close()
+
+
+def test_sigterm_ends_it_in_order(system: RunningInstance) -> None:
+    assert system.stop(VRC) == 0
+    log = system.log(VRC)
+    assert "Traceback" not in log, log
+    assert "RTPS" not in log, log
+    assert log.rstrip().endswith("stopped")
