@@ -166,8 +166,13 @@ class RosClient:
         self._context.shutdown()
 
 
-def leftovers(environment: Mapping[str, str], home: Path, name: str) -> list[str]:
-    """What an instance that is down has left: processes, sockets, shared memory, keys."""
+def shared_memory() -> set[str]:
+    """Files of Fast DDS' shared memory on this machine."""
+    return {entry for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)}
+
+
+def leftovers(home: Path, name: str, shared_memory_before: set[str]) -> list[str]:
+    """What an instance that is down has left: processes, sockets, keys, shared memory."""
     import psutil
 
     found: list[str] = []
@@ -180,5 +185,5 @@ def leftovers(environment: Mapping[str, str], home: Path, name: str) -> list[str
         if ours and process.pid != os.getpid() and process.status() != psutil.STATUS_ZOMBIE:
             found.append(f"process {process.pid} {process.name()}")
     found += [str(path) for path in (home / name).rglob("*") if path.is_socket() or "key" in path.name]
-    found += [f"/dev/shm/{entry}" for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)]
+    found += [f"/dev/shm/{entry}" for entry in shared_memory() - shared_memory_before]
     return found

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.system import RosClient, System, leftovers, running
+from tests.system import RosClient, System, leftovers, running, shared_memory
 from valor_common.instance import Instance
 from valor_common.messages import GroundTruth, MotionState, Proprioceptor
 from valor_common.robot import RobotDescription
@@ -81,6 +81,7 @@ class Case:
 def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
     clock, seed, stand_time = request.param
     home = tmp_path_factory.mktemp("v")
+    before = shared_memory()
     options = ("--clock", clock, "--seed", str(seed), "--actuators", "hardware")
     with running(f"stands-{clock}-{seed}", home, *options) as system:
         ros = RosClient(system.join())
@@ -89,7 +90,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         with bifrost.Node("acceptance", network=network) as node:
             yield Case(system, home, ros, node, RobotDescription.load(instance.settings().robot), stand_time)
         ros.close()
-    assert leftovers(system.environment, home, system.name) == []
+    assert leftovers(home, system.name, before) == []
 
 
 def test_every_service_is_ready_and_the_robot_stands(case: Case) -> None:
