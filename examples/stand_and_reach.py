@@ -42,24 +42,24 @@ MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
 ARM_ACTION = "/trajectory_controllers/right_arm_traj_controller/follow_joint_trajectory"
 NECK_ACTION = "/trajectory_controllers/neck_traj_controller/follow_joint_trajectory"
 
-# Goals [rad] and when they are to be reached, from the goal's start on [s]. What is not named is 0.
+# Postures [rad]; what is not named is 0. HOME is how the arm hangs in control mode "stand".
+HOME = {"r_shoulder_pitch": 0.5, "r_shoulder_roll": -0.2, "r_elbow_pitch": 0.5}
 FORWARD = {"r_shoulder_pitch": -0.7, "r_shoulder_roll": -0.15, "r_elbow_pitch": 0.3, "r_wrist_pitch": 0.2}
 ASIDE = {
-    "r_shoulder_pitch": -0.9,
-    "r_shoulder_roll": -0.6,
-    "r_shoulder_yaw": -0.3,
-    "r_elbow_pitch": 0.9,
-    "r_elbow_roll": 0.4,
-}
+    "r_shoulder_pitch": -0.9, "r_shoulder_roll": -0.6, "r_shoulder_yaw": -0.3,
+    "r_elbow_pitch": 0.9, "r_elbow_roll": 0.4,
+}  # fmt: skip
+LOOK_ASIDE = {"neck_yaw": -0.5, "neck_pitch": 0.25}
+LOOK_AHEAD: dict[str, float] = {}
 ARM = (
     "r_shoulder_pitch", "r_shoulder_roll", "r_shoulder_yaw", "r_elbow_pitch",
     "r_elbow_roll", "r_wrist_pitch", "r_wrist_yaw",
 )  # fmt: skip
 NECK = ("neck_yaw", "neck_pitch")
-LOOK_ASIDE = {"neck_yaw": -0.5, "neck_pitch": 0.25}
 
 TOLERANCE = 0.02  # [rad]
-SETTLE = 0.3  # of robot time, over which the final joint positions are averaged [s]
+SETTLE = 0.7  # of robot time, from a goal's end until the final joint positions are taken [s]
+AVERAGE = 0.3  # of robot time, over which they are averaged [s]
 DISCOVERY = 20.0  # for topics and actions to appear [s]
 MODE_CHANGE = 20.0  # [s]
 CANCEL = 3.0  # [s]
@@ -108,6 +108,7 @@ class Robot:
         self._clock_first: tuple[float, float] | None = None  # robot time, wall time [s]
         self._clock_last = (0.0, 0.0)
         self._states = 0
+        self._stamp = self._stamp_first = 0.0  # of joint_states, robot time [s]
         self._states_first = self._states_last = 0.0  # wall [s]
         self._ages: list[float] = []  # [s]
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -128,8 +129,8 @@ class Robot:
         self._states_first = self._states_first or now
         self._states_last = now
         self._states += 1
-        if self.clock is not None:
-            self._ages.append(self.clock - seconds(state.header.stamp))
+        self._stamp = seconds(state.header.stamp)
+        self._stamp_first = self._stamp_first or self._stamp
         for listener in self._joint_listeners:
             listener(self.joints)
 
@@ -143,6 +144,8 @@ class Robot:
         self.clock = seconds(clock.clock)
         self._clock_last = (self.clock, time.monotonic())
         self._clock_first = self._clock_first or self._clock_last
+        if self._states:
+            self._ages.append(self.clock - self._stamp)
 
     def wait(self, condition: Callable[[], Any], timeout: float, otherwise: str) -> None:
         """Let messages in until the condition holds.
@@ -212,8 +215,12 @@ class Robot:
         """
         goal = FollowJointTrajectory.Goal()
         joints = goal.trajectory.joint_names = list(points[0][1])
-        for when, positions in points:
-            point = JointTrajectoryPoint(positions=[float(positions[joint]) for joint in joints])
+        start = {joint: self.joints[joint] for joint in joints}
+        speeds = velocities([(0.0, start), *points])
+        for (when, positions), speed in zip(points, speeds[1:], strict=True):
+            point = JointTrajectoryPoint(
+                positions=[positions[joint] for joint in joints], velocities=[speed[joint] for joint in joints]
+            )
             whole = int(when)
             point.time_from_start = Duration(sec=whole, nanosec=int((when - whole) * 1e9))
             goal.trajectory.points.append(point)
@@ -237,7 +244,8 @@ class Robot:
         return Motion(name, result.error_code, took, worst, errors[worst], errors, 100.0 * farthest[0])
 
     def _settled(self, joints: list[str]) -> dict[str, float]:
-        """Mean joint positions [rad] over the next moment."""
+        """Mean joint positions [rad], once the joints have come to rest."""
+        self.wait_robot_time(SETTLE)
         sums, count = dict.fromkeys(joints, 0.0), [0]
 
         def add(positions: dict[str, float]) -> None:
@@ -246,7 +254,7 @@ class Robot:
                 sums[joint] += positions[joint]
 
         self._joint_listeners.append(add)
-        self.wait_robot_time(SETTLE)
+        self.wait_robot_time(AVERAGE)
         self.wait(lambda: count[0], DISCOVERY, "/joint_states went silent")
         self._joint_listeners.remove(add)
         return {joint: total / count[0] for joint, total in sums.items()}
@@ -270,15 +278,16 @@ class Robot:
 
     def streams(self) -> dict[str, float | None]:
         """How well the robot's streams arrived here, since the start."""
-        span = self._states_last - self._states_first
+        span, robot_span = self._states_last - self._states_first, self._stamp - self._stamp_first
         robot_time = wall_time = 0.0
         if self._clock_first is not None:
             robot_time = self._clock_last[0] - self._clock_first[0]
             wall_time = self._clock_last[1] - self._clock_first[1]
         ages = sorted(self._ages)
         return {
-            "joint_states_rate": (self._states - 1) / span if span else None,  # [Hz]
-            "joint_states_age_median": 1e3 * ages[len(ages) // 2] if ages else None,  # behind /clock [ms]
+            "joint_states_rate": (self._states - 1) / span if span else None,  # by the wall's clock [Hz]
+            "joint_states_rate_robot": (self._states - 1) / robot_span if robot_span else None,  # by the robot's [Hz]
+            "joint_states_age_median": 1e3 * ages[len(ages) // 2] if ages else None,  # when /clock comes [ms]
             "joint_states_age_p99": 1e3 * ages[int(0.99 * len(ages))] if ages else None,  # [ms]
             "real_time_factor": robot_time / wall_time if wall_time else None,
         }
@@ -293,6 +302,17 @@ class Robot:
 def seconds(stamp: Time) -> float:
     """A stamp in seconds."""
     return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def velocities(points: list[tuple[float, dict[str, float]]]) -> list[dict[str, float]]:
+    """Joint velocities at the points of a trajectory [rad/s]: none at its ends and where a joint turns back."""
+    still = dict.fromkeys(points[0][1], 0.0)
+    between = []
+    for (t0, a), (t1, b), (t2, c) in zip(points, points[1:], points[2:], strict=False):
+        slopes = {joint: ((b[joint] - a[joint]) / (t1 - t0), (c[joint] - b[joint]) / (t2 - t1)) for joint in still}
+        # The harmonic mean keeps the spline between its points (Fritsch and Butland, 1984).
+        between.append({joint: 2 * u * v / (u + v) if u * v > 0 else 0.0 for joint, (u, v) in slopes.items()})
+    return [still, *between, still]
 
 
 def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
@@ -317,16 +337,19 @@ def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
     if robot.mode != "stand":
         change("stand")
     change("stand_manipulate")
-    home = {joint: robot.joints[joint] for joint in ARM}
-    ahead = {joint: robot.joints[joint] for joint in NECK}
-    forward = {joint: FORWARD.get(joint, 0.0) for joint in ARM}
-    aside = {joint: ASIDE.get(joint, 0.0) for joint in ARM}
+    home, forward, aside = (posture(ARM, named) for named in (HOME, FORWARD, ASIDE))
+    look_aside, look_ahead = (posture(NECK, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
     follow("right arm forward, then aside", robot.arm, (2.5, forward), (4.5, aside))
-    follow("neck looks at the hand", robot.neck, (1.5, LOOK_ASIDE))
+    follow("neck looks at the hand", robot.neck, (1.5, look_aside))
     follow("right arm home", robot.arm, (2.0, forward), (4.5, home))
-    follow("neck ahead", robot.neck, (1.5, ahead))
+    follow("neck ahead", robot.neck, (1.5, look_ahead))
     change("stand")
     return changes, motions
+
+
+def posture(joints: tuple[str, ...], named: dict[str, float]) -> dict[str, float]:
+    """Every joint's position [rad]: as named, else 0."""
+    return {joint: named.get(joint, 0.0) for joint in joints}
 
 
 def say(line: str) -> None:
@@ -344,10 +367,11 @@ def table(motions: list[Motion], streams: dict[str, float | None]) -> str:
     lines = ["", f"{'motion':<32}{'error [rad]':>12}{'pelvis [cm]':>13}"]
     lines += [f"{m.name:<32}{m.max_error:>12.4f}{m.pelvis_displacement:>13.2f}" for m in motions]
     median, p99 = number("joint_states_age_median", 1, "ms"), number("joint_states_age_p99", 1, "ms")
+    wall_rate, robot_rate = number("joint_states_rate", 1, "Hz"), number("joint_states_rate_robot", 1, "Hz")
     lines += [
         "",
-        f"joint_states      {number('joint_states_rate', 1, 'Hz')}",
-        f"  behind /clock   {median}, p99 {p99}",
+        f"joint_states      {wall_rate}, by robot time {robot_rate}",
+        f"  behind /clock   median {median}, p99 {p99}",
         f"real-time factor  {number('real_time_factor', 3, '')}",
     ]
     return "\n".join(lines)
