@@ -60,7 +60,7 @@ class ValorRosController:
             if not 1.0 <= rate <= control_rate:
                 raise ConfigurationError(f"ROS parameter update_rate: {rate:g} Hz; expected 1 to {control_rate:g}")
             timeout = self._ros.parameter(
-                "silence_timeout", 0.5, "a process that publishes nothing for so long is silent [s]"
+                "silence_timeout", 1.0, "a process that publishes nothing for so long is silent [s]"
             )
             self._assemble(modes, controllers, tree, max(1, round(control_rate / rate)), timeout)
         except BaseException:
