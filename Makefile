@@ -34,8 +34,10 @@ $(WHEELS): $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
 	@$(BIN)/python -c "import os, sysconfig as s; exit(not os.path.exists(s.get_path('include') + '/Python.h'))" || \
 	  { echo "make setup: no Python.h; the ROS 2 message packages need it (on Debian: python3-dev)" >&2; exit 1; }
 	rm -rf build/wheels
-	$(UV) build --quiet --wheel --python $(BIN)/python --require-hashes \
-	  --build-constraints interfaces/build-constraints.txt interfaces -o build/wheels
+	@echo "compiling the ROS 2 message packages, once: about half a minute on two cores"
+	@$(UV) build --wheel --python $(BIN)/python --require-hashes \
+	  --build-constraints interfaces/build-constraints.txt interfaces -o build/wheels >build/interfaces.log 2>&1 || \
+	  { grep -v '^-- ' build/interfaces.log | tail -n 40 >&2; exit 1; }
 	touch $@
 
 demo: $(STAMP)
