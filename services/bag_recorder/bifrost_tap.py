@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import struct
+from collections.abc import Sequence
 
 import bifrost
 from bag_recorder.bag import Bag, RecordedTopic
@@ -33,9 +34,9 @@ class _Tap:
 class BifrostTap:
     """Subscribes to every topic that is recorded, and moves what has come into the bag."""
 
-    def __init__(self, node: bifrost.Node, clock: WallClock) -> None:
+    def __init__(self, node: bifrost.Node, clock: WallClock, topics: Sequence[Topic] = TOPICS) -> None:
         self._offset = clock.offset
-        self._taps = [_Tap(node, topic) for topic in TOPICS if topic.record_every > 0]
+        self._taps = [_Tap(node, topic) for topic in topics if topic.record_every > 0]
 
     @property
     def drops(self) -> int:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,9 @@ from std_msgs.msg import String
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 
 import bifrost
+from bag_recorder.bag import Bag
+from bag_recorder.bifrost_tap import BifrostTap
+from bag_recorder.clock import WallClock
 from tests.conftest import RunningInstance, wait_until
 from valor_common.bag_recovery import recover
 from valor_common.messages import JointSetpoints, Motor, Statistics
@@ -307,6 +311,31 @@ def test_a_publisher_that_offers_less_than_the_others_is_heard_too(instance: Run
         second.publish(String(data="second"))
     wait_until(lambda: has(path, "/chatter", 20), 20.0, "both are in the bag", 0.3)
     assert instance.stop("bag_recorder") == 0
+
+
+def test_a_topic_keeps_every_nth_message_or_none(instance: RunningInstance, tmp_path: Path) -> None:
+    third, none = replace(MOTOR, record_every=3), replace(JOINT_SETPOINTS, record_every=0)
+    tap = BifrostTap(instance.node("recorder"), WallClock(), (third, none))
+    bag = Bag(tmp_path / "a.mcap")
+    node = instance.node()
+    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    heard: list[int] = []
+
+    def all_heard() -> bool:
+        heard.append(tap.drain(bag))
+        sent = motors.publish(motor(0))
+        setpoints.publish(JointSetpoints(0, [], *np.zeros((3, 0))))
+        return sum(heard) >= 30 and sent > 0
+
+    wait_until(all_heard, 20.0, "thirty messages")
+    bag.close()
+    with open(bag.path, "rb") as file:
+        found = [(channel.topic, m.sequence) for _, channel, m in make_reader(file).iter_messages()]
+    assert {topic for topic, _ in found} == {"/bifrost/" + MOTOR.name}
+    sequences = [sequence for _, sequence in found]
+    assert sequences == list(range(sequences[0], sequences[-1] + 1, 3))
+    assert all(sequence % 3 == 0 for sequence in sequences) and len(sequences) >= 9
+    assert tap.drops == 0
 
 
 @pytest.mark.parametrize(

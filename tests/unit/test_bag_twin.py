@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bag_recorder.definitions import definition
+from bag_recorder.definitions import UnknownTypeError, definition
 from bag_recorder.twin import TwinEncoder, twin_type
 from bifrost import Float64Array, Message, Received, Uint8Array
 from valor_common.messages import Footstep, FootstepPlanRequest, Motor
@@ -108,6 +108,11 @@ def test_a_message_within_a_message_has_no_twin_and_says_so() -> None:
     with pytest.raises(TypeError, match=r"FootstepPlanRequest\.steps: .*Footstep.* has no ROS twin"):
         TwinEncoder(FootstepPlanRequest)
     assert TwinEncoder(Footstep)
+
+
+def test_a_type_that_is_not_installed_is_named() -> None:
+    with pytest.raises(UnknownTypeError, match="octomap_msgs/msg/Octomap is not installed here"):
+        definition("octomap_msgs/msg/Octomap")
 
 
 @pytest.mark.parametrize("installed", ["sensor_msgs/msg/Image", "control_msgs/msg/JointTrajectoryControllerState"])
