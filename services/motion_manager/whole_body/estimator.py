@@ -28,6 +28,8 @@ from valor_common.messages import Proprioceptor
 from valor_common.model import Model
 from valor_common.robot import Estimator, RobotDescription
 
+LONGEST_GAP = 0.02  # between Proprioceptors that the gyroscope's rate is believed for [s]
+
 Vector = tuple[float, float, float]
 
 
@@ -147,10 +149,11 @@ class FloatingBaseEstimator:
         self._anchor = np.zeros((2, 3))  # where each loaded sole stands in odom
         self._anchor_yaw = [0.0, 0.0]
         self._contact = [False, False]
+        self._time = 0
         self._started = False
 
     def reset(self) -> None:
-        """Begin anew with the next Proprioceptor: odom between the feet, at the height of the soles, facing as they do."""
+        """Begin anew with the next Proprioceptor: odom between the feet, at the soles' height, facing as they do."""
         self._started = False
 
     def update(self, proprioceptor: Proprioceptor) -> RobotState:
@@ -160,7 +163,10 @@ class FloatingBaseEstimator:
         position, velocity = proprioceptor.joint_position, proprioceptor.joint_velocity
         if not self._started:
             self._start(orientation, angular_velocity, position, velocity)
-        self._attitude.update(orientation, angular_velocity, self._dt)
+            self._time = proprioceptor.time
+        passed = 1e-9 * (proprioceptor.time - self._time)
+        self._time = proprioceptor.time
+        self._attitude.update(orientation, angular_velocity, min(max(passed, 0.0), LONGEST_GAP))
         self._joint_velocity = self._joint_velocity + (velocity - self._joint_velocity) * self._smoothing
         dynamics, places = self.dynamics, self._places
         dynamics.update(self._attitude.orientation, angular_velocity, position[places], self._joint_velocity[places])

@@ -62,7 +62,8 @@ class ContactForceQp:
         """Solve.
 
         Args:
-            objective: updated at this state. dynamics: at this state.
+            objective: updated at this state.
+            dynamics: at this state.
             forces: (nρ, nv) generalised forces of the generators.
             bounds: of torque and acceleration.
 

@@ -125,13 +125,16 @@ class StandReference:
 
     def _support_centre(self, state: RobotState) -> FloatArray:
         """(3,) of the CoM over the middle of both soles at nominal height, in odom [m]."""
-        centres = np.matmul(state.sole_rotations_in_odom, self._centres)[:, :, 0]
+        centres: FloatArray = np.matmul(state.sole_rotations_in_odom, self._centres)[:, :, 0]
         centres += state.sole_positions_in_odom
-        return (centres[0] + centres[1]) * 0.5 + self._height
+        centre: FloatArray = (centres[0] + centres[1]) * 0.5 + self._height
+        return centre
 
     def _clipped_shift(self, level: FloatArray) -> FloatArray:
         shift: FloatArray = level @ self._upper_body.com_displacement()
-        return np.minimum(np.maximum(shift, -self._limit), self._limit)
+        np.maximum(shift, -self._limit, out=shift)
+        np.minimum(shift, self._limit, out=shift)
+        return shift
 
 
 def _level(state: RobotState) -> FloatArray:

@@ -27,7 +27,9 @@ def corners_on_ground(corners: FloatArray, positions: FloatArray, rotations: Flo
     """Both soles' corners, seen from above: eight points in odom [m].
 
     Args:
-        corners: (2, 4, 3) in the soles' frames. positions: (2, 3). rotations: (2, 3, 3) of the soles in odom.
+        corners: (2, 4, 3) in the soles' frames.
+        positions: (2, 3) of the soles in odom.
+        rotations: (2, 3, 3) of the soles in odom.
     """
     placed = np.matmul(corners, rotations.transpose(0, 2, 1)) + positions[:, None]
     return [(x, y) for x, y, _ in placed.reshape(-1, 3).tolist()]

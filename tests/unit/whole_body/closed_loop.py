@@ -82,9 +82,9 @@ class ClosedLoop:
         """Robot time [s]."""
         return self.sequence * self.robot.control_period
 
-    def settle(self, seconds: float) -> None:
-        """Hold the nominal posture on the joints' servos, as before control."""
-        self.plant.actuators.hold(self.robot.nominal_posture)
+    def settle(self, seconds: float, posture: FloatArray | None = None) -> None:
+        """Hold a posture (nominal if none is given) on the joints' servos, as before control."""
+        self.plant.actuators.hold(self.robot.nominal_posture if posture is None else posture)
         for _ in range(round(seconds / self.robot.control_period)):
             self.plant.step(self._substeps)
             self.sequence += 1

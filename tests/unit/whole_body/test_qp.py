@@ -177,7 +177,7 @@ def test_numbers_that_are_not_finite_cannot_be_solved(random_problem: Problem, w
         "forces": p.contacts.forces[3],
     }
     arrays[where][2] = np.nan
-    with pytest.raises(UnsolvableError, match="not finite|not positive definite"):
+    with pytest.raises(UnsolvableError, match=r"not finite|not positive definite"):
         p.solve(p.unbounded())
 
 

@@ -1,0 +1,114 @@
+"""The DCM law and the reference of standing, against numerical integration of the motions they promise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motion_manager.whole_body.arms import UpperBodyKinematics
+from motion_manager.whole_body.dcm import DcmLaw
+from motion_manager.whole_body.reference import Follower, minimum_jerk
+from valor_common.model import Model
+from valor_common.robot import RobotDescription
+
+OMEGA = DcmLaw.natural_frequency(0.86, 9.81)
+STEP = 5e-4  # of the integration [s]
+
+
+def simulate(
+    law: DcmLaw, com: np.ndarray, velocity: np.ndarray, duration: float, disturbance: np.ndarray
+) -> list[float]:
+    """Errors of the DCM over time, the CoM driven by the law towards the origin and by a constant acceleration."""
+    errors = []
+    reference = np.zeros(3)
+    for _ in range(round(duration / STEP)):
+        dcm = com + velocity / law.omega
+        errors.append(float(dcm[0]))
+        point = law.repellent_point(dcm, reference, reference, STEP)
+        velocity = velocity + (law.acceleration(com, point) + disturbance) * STEP
+        com = com + velocity * STEP
+    return errors
+
+
+@pytest.mark.parametrize("gain", [2.0, 5.0, 12.0])
+def test_the_error_decays_with_the_gain(gain: float) -> None:
+    law = DcmLaw(OMEGA, gain, integral_gain=0.0, integral_limit=0.0, hold=1.0)
+    errors = simulate(law, np.array((0.02, 0.0, 0.0)), np.zeros(3), 0.5, np.zeros(3))
+    times = np.arange(len(errors)) * STEP
+    np.testing.assert_allclose(errors, 0.02 * np.exp(-gain * times), atol=0.02 * 0.01)
+
+
+def test_a_wrong_model_ends_in_the_integral_and_not_in_the_error() -> None:
+    """A constant acceleration of 0.15 m/s² is a mass that is wrong by 1.5 %."""
+    push = np.array((0.15, 0.0, 0.0))
+    without = DcmLaw(OMEGA, 5.0, 0.0, 0.0, 0.05)
+    assert simulate(without, np.zeros(3), np.zeros(3), 10.0, push)[-1] > 0.005
+    law = DcmLaw(OMEGA, 5.0, 1.0, 0.05, 0.05)
+    assert simulate(law, np.zeros(3), np.zeros(3), 10.0, push)[-1] == pytest.approx(0.0, abs=1e-4)
+    assert law.integral[0] == pytest.approx(0.15 / OMEGA**2, rel=0.01)
+
+
+def test_the_integral_waits_while_something_pushes_and_is_bounded() -> None:
+    law = DcmLaw(OMEGA, 5.0, 1.0, 0.05, hold=0.03)
+    for _ in range(1000):
+        law.repellent_point(np.array((0.06, 0.0, 0.0)), np.zeros(3), np.zeros(3), 0.002)
+    assert law.integral[0] == 0.0
+    for _ in range(10000):
+        law.repellent_point(np.array((0.02, 0.0, 0.0)), np.zeros(3), np.zeros(3), 0.002)
+    assert law.integral[0] == 0.05
+    law.reset()
+    assert not law.integral.any()
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.0, 1.0))
+def test_minimum_jerk_has_the_derivatives_it_claims(duration: float, share: float) -> None:
+    time, step = share * duration, 1e-5 * duration
+    time = min(max(time, step), duration - 2.0 * step)
+    s, rate, acceleration = minimum_jerk(time, duration)
+    before, after = minimum_jerk(time - step, duration), minimum_jerk(time + step, duration)
+    assert 0.0 <= s <= 1.0
+    assert rate * duration == pytest.approx((after[0] - before[0]) / (2.0 * step) * duration, abs=1e-5)
+    assert acceleration * duration**2 == pytest.approx((after[1] - before[1]) / (2.0 * step) * duration**2, abs=1e-4)
+
+
+def test_minimum_jerk_begins_and_ends_at_rest() -> None:
+    assert minimum_jerk(0.0, 2.0) == (0.0, 0.0, 0.0)
+    assert minimum_jerk(2.0, 2.0) == minimum_jerk(5.0, 2.0) == (1.0, 0.0, 0.0)
+
+
+def test_follower_follows_without_overshoot_and_knows_its_derivatives() -> None:
+    dt = 0.002
+    follower = Follower(20.0, dt)
+    follower.reset(np.array((1.0, -2.0, 0.0)))
+    target = np.array((2.0, -2.0, 0.5))
+    values = [follower.state.copy()]
+    for _ in range(500):
+        follower.update(target)
+        values.append(follower.state.copy())
+    states = np.array(values)
+    np.testing.assert_allclose(states[-1, 0], target, atol=1e-4)
+    assert (states[:, 0, 0] <= 2.0 + 1e-9).all()
+    np.testing.assert_allclose(np.diff(states[:, 0], axis=0) / dt, states[1:, 1], atol=1e-9)
+    np.testing.assert_allclose(np.diff(states[:, 1], axis=0) / dt, states[1:, 2], atol=1e-9)
+
+
+def test_com_displacement_is_what_the_masses_say(robot: RobotDescription, model: Model) -> None:
+    """One arm forward: m·Δc = Σ mᵢ·Δcᵢ over the arm's bodies alone."""
+    kinematics = UpperBodyKinematics(model)
+    places = np.arange(len(robot.joints))[model.joint_indices]
+    posture = robot.nominal_posture.copy()
+    kinematics.update(posture[places])
+    np.testing.assert_allclose(kinematics.com_displacement(), 0.0, atol=1e-12)
+    for joint, angle in robot.tables.arm_presets["forward"]["right"].items():
+        posture[robot.index[joint]] = angle
+    kinematics.update(posture[places])
+    dx, dy, dz = kinematics.com_displacement()
+    assert 0.02 < dx < 0.08  # 8 of 76 kg move forward by some 0.4 m
+    assert abs(dy) < 0.02
+    assert dz > 0.0
+    np.testing.assert_allclose(kinematics.chest_rotation(), np.eye(3), atol=1e-12)
+    posture[robot.index["waist_yaw"]] = 0.3
+    kinematics.update(posture[places])
+    assert np.arctan2(kinematics.chest_rotation()[1, 0], kinematics.chest_rotation()[0, 0]) == pytest.approx(0.3)

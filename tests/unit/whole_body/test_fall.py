@@ -1,0 +1,114 @@
+"""The support polygon, and the three ways to notice that the robot is lost."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from motion_manager.whole_body import FallDetector, RobotState
+from motion_manager.whole_body.support import Point, convex_hull, corners_on_ground, distance_outside, sole_corners
+from tests.unit.whole_body.closed_loop import ClosedLoop
+from valor_common.robot import RobotDescription
+
+MILLISECOND = 1_000_000  # [ns]
+coordinates = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+
+
+def area(polygon: list[Point]) -> float:
+    following = polygon[1:] + polygon[:1]
+    return 0.5 * sum(ax * by - bx * ay for (ax, ay), (bx, by) in zip(polygon, following, strict=True))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 20))
+def test_hull_is_scipys(seed: int, count: int) -> None:
+    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 2))
+    hull = convex_hull([(x, y) for x, y in points.tolist()])
+    assert {tuple(corner) for corner in points[ConvexHull(points).vertices].tolist()} == set(hull)
+    assert area(hull) == pytest.approx(ConvexHull(points).volume)  # counter-clockwise: positive
+
+
+@given(st.lists(coordinates, min_size=3, max_size=8), coordinates)
+def test_distance_to_the_hull_is_that_of_a_dense_outline(points: list[Point], point: Point) -> None:
+    hull = convex_hull(points)
+    if len(hull) < 3 or area(hull) < 1e-3:
+        return
+    distance = distance_outside(hull, *point)
+    share = np.linspace(0.0, 1.0, 400)[:, None]
+    corners = np.array(hull)
+    outline = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    nearest = np.hypot(*(outline - point).T).min()
+    assert abs(distance) == pytest.approx(nearest, abs=0.01)
+    edges = [(b - a, np.array(point) - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    inside = all(e[0] * p[1] - e[1] * p[0] > 0.0 for e, p in edges)
+    assert inside == (distance < 0.0) or nearest < 1e-9
+
+
+@pytest.fixture(scope="module")
+def standing(robot: RobotDescription) -> RobotState:
+    """ESCHER's state, standing."""
+    loop = ClosedLoop(robot)
+    loop.run(0.1)
+    return loop.state
+
+
+def dcm_at(robot: RobotDescription, state: RobotState, outside: float, milliseconds: int) -> RobotState:
+    """The state later, its DCM ahead of the middle of the support polygon's front by ``outside`` [m]."""
+    corners = sole_corners(robot.tables.feet)
+    ground = corners_on_ground(corners, state.sole_positions_in_odom, state.sole_rotations_in_odom)
+    dcm = np.array((max(x for x, _ in ground) + outside, float(state.sole_positions_in_odom[:, 1].mean()), 0.86))
+    return dataclasses.replace(state, dcm_in_odom=dcm, time=state.time + milliseconds * MILLISECOND)
+
+
+def turned(state: RobotState, tilt: float) -> RobotState:
+    """The state with its pelvis tilted forward [rad]."""
+    c, s = np.cos(tilt), np.sin(tilt)
+    rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    return dataclasses.replace(state, pelvis_rotation_in_odom=rotation)
+
+
+def test_standing_is_no_fall(robot: RobotDescription, standing: RobotState) -> None:
+    assert FallDetector(robot).update(standing) is None
+
+
+def test_tilt(robot: RobotDescription, standing: RobotState) -> None:
+    limit = robot.tables.fall.tilt
+    assert FallDetector(robot).update(turned(standing, limit - 0.01)) is None
+    reason = FallDetector(robot).update(turned(standing, limit + 0.02))
+    assert reason is not None
+    assert reason.startswith("pelvis tilted")
+    assert f"limit {np.degrees(limit):.0f}°" in reason
+
+
+def test_height(robot: RobotDescription, standing: RobotState) -> None:
+    lowest = robot.tables.fall.height * robot.tables.nominal_base_height
+    low = standing.pelvis_position_in_odom * (1.0, 1.0, 0.0) + (0.0, 0.0, lowest - 0.01)
+    reason = FallDetector(robot).update(dataclasses.replace(standing, pelvis_position_in_odom=low))
+    assert reason == f"pelvis {lowest - 0.01:.2f} m above the soles, limit {lowest:.2f} m"
+
+
+def test_dcm_outside_the_polygon_for_long_enough(robot: RobotDescription, standing: RobotState) -> None:
+    margin, duration = robot.tables.fall.dcm_margin, round(robot.tables.fall.dcm_duration * 1e3)
+    detector = FallDetector(robot)
+    assert detector.update(dcm_at(robot, standing, -0.005, 0)) is None
+    assert detector.update(dcm_at(robot, standing, margin - 0.005, 2)) is None
+    assert detector.update(dcm_at(robot, standing, margin + 0.005, 4)) is None
+    assert detector.update(dcm_at(robot, standing, margin + 0.005, 4 + duration - 2)) is None
+    reason = detector.update(dcm_at(robot, standing, margin + 0.005, 4 + duration))
+    assert reason is not None
+    assert reason.startswith(f"DCM {margin + 0.005:.3f} m outside the support polygon")
+    assert reason.endswith(f"limit {margin:.3f} m")
+
+
+def test_dcm_that_comes_back_begins_anew(robot: RobotDescription, standing: RobotState) -> None:
+    margin, duration = robot.tables.fall.dcm_margin, round(robot.tables.fall.dcm_duration * 1e3)
+    detector = FallDetector(robot)
+    assert detector.update(dcm_at(robot, standing, margin + 0.01, 0)) is None
+    assert detector.update(dcm_at(robot, standing, -0.02, 2)) is None
+    assert detector.update(dcm_at(robot, standing, margin + 0.01, duration + 2)) is None
+    detector.reset()
+    assert detector.update(dcm_at(robot, standing, margin + 0.01, 2 * duration + 2)) is None
