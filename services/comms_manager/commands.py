@@ -11,7 +11,8 @@ from valor_common.messages import JointMode, Motor
 from valor_common.robot import RobotDescription
 
 COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
-MISSES_TO_SILENCE = 4  # waits timed out in a row, after which the joints are held
+MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held
+_LOOK_EVERY = 0.05  # while waiting: whether anybody publishes Motor at all [s]
 _HIGHEST_MODE = max(JointMode)
 _LOG_EVERY = 10.0  # of each kind of refusal [s]
 _log = logging.getLogger("comms_manager")
@@ -72,19 +73,23 @@ class Commands:
         """Wait until the Motor in force answers a state at most ``age`` periods old.
 
         Returns whether it does; if not within ``timeout`` [s], that is counted, and Motor is silent after several.
+        It is silent at once if its publisher is gone: a slow controller is waited for, a dead one is not.
         """
         deadline = time.perf_counter() + timeout
         while self.motor is None or self.age > age:
             remaining = deadline - time.perf_counter()
-            received = self._subscriber.receive(timeout=remaining) if remaining > 0 else None
-            if received is not None:
-                self._consider(received.message, received.origin)
-            elif remaining <= 0:
+            if remaining <= 0.0:
                 if self.motor is not None:
                     self.waits_timed_out += 1
                     self._misses += 1
                     if self._misses >= MISSES_TO_SILENCE:
-                        self._fall_silent(f"{self._misses} waits for a Motor timed out")
+                        self._fall_silent(f"{self._misses} waits of {timeout:g} s for a Motor timed out")
+                return False
+            received = self._subscriber.receive(timeout=min(remaining, _LOOK_EVERY))
+            if received is not None:
+                self._consider(received.message, received.origin)
+            elif self.motor is not None and not self._subscriber.publishers:
+                self._fall_silent("nobody publishes Motor any more")
                 return False
         self._misses = 0
         return True

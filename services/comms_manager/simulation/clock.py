@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from comms_manager.commands import Commands
 from comms_manager.simulation.plant import Plant
 
-PATIENCE = 0.25  # of one wait for a Motor [s]
+PATIENCE = 1.0  # of one wait for a Motor [s]
 STALENESS = 5  # realtime: periods that the state answered by the newest Motor may lie back
 LATE = 0.002  # behind the schedule by more than this, the schedule moves [s]
 
