@@ -75,7 +75,8 @@ class PostureControl:
             return f"stand_prep has {left + SETTLING:.1f} s to go"
         if self._move.since_arrival(now) < SETTLING:
             return f"stand_prep has {SETTLING - self._move.since_arrival(now):.1f} s to go"
-        fastest = int(np.argmax(np.abs(joint_velocity)))
+        # A finger that trembles against something keeps nobody from standing.
+        fastest = int(np.argmax(self._command.force * np.abs(joint_velocity)))
         if (speed := abs(float(joint_velocity[fastest]))) > AT_REST:
             return (
                 f"stand_prep has not settled: joint {self._robot.joints[fastest]!r} moves at {speed:.2f} rad/s; "
