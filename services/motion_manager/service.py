@@ -35,7 +35,7 @@ from valor_common.topics import (
 
 SETPOINT_QUEUE = 16  # more than that in one control period are dropped and counted
 STEP_STATUS_PERIOD = 0.1  # [s of robot time]
-SILENCE = 1.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
+SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
 NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
 
 _log = logging.getLogger("motion_manager")
