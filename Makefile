@@ -33,7 +33,7 @@ $(WHEELS): $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
 	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
 	@$(BIN)/python -c "import os, sysconfig as s; exit(not os.path.exists(s.get_path('include') + '/Python.h'))" || \
 	  { echo "make setup: no Python.h; the ROS 2 message packages need it (on Debian: python3-dev)" >&2; exit 1; }
-	rm -rf build/wheels
+	rm -rf build/wheels && mkdir -p build/wheels
 	@echo "compiling the ROS 2 message packages, once: about half a minute on two cores"
 	@$(UV) build --wheel --python $(BIN)/python --require-hashes \
 	  --build-constraints interfaces/build-constraints.txt interfaces -o build/wheels >build/interfaces.log 2>&1 || \
