@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import os
 import signal
 import sys
@@ -66,13 +67,17 @@ class Service(Protocol):
 class StatisticsPublisher:
     """Counts a loop's cycles and publishes ``<service>/statistics`` once a second and at every change of state.
 
-    Used from the loop's own thread.
+    Whoever begins to listen is told the newest at once. Used from the loop's own thread.
     """
 
     PERIOD = 1.0  # [s]
+    GREETING_DELAY = 0.1  # from the news of a listener until it has connected [s]
 
     def __init__(self, node: bifrost.Node, service: str, control_period: float) -> None:
         self._publisher = node.publisher(STATISTICS[service].name, Statistics)
+        self._newest: Statistics | None = None
+        self._greet_at = math.inf
+        node.discovery.watch("subscriber", STATISTICS[service].name, self._listeners_changed)
         self._service = service
         self._control_period = control_period
         self._process = psutil.Process()
@@ -118,33 +123,45 @@ class StatisticsPublisher:
         self._overruns += work > self._control_period
         if now - self._window_start >= self.PERIOD:
             self._publish(now)
+        elif now >= self._greet_at:
+            self._greet()
 
     def idle(self) -> None:
         """Publish if a second has passed; for loops that have nothing to count."""
         now = time.perf_counter()
         if now - self._window_start >= self.PERIOD:
             self._publish(now)
+        elif now >= self._greet_at:
+            self._greet()
+
+    def _listeners_changed(self) -> None:
+        """Called in the discovery thread."""
+        self._greet_at = time.perf_counter() + self.GREETING_DELAY
+
+    def _greet(self) -> None:
+        self._greet_at = math.inf
+        if self._newest is not None:
+            self._publisher.publish(self._newest)
 
     def _publish(self, now: float) -> None:
         cycles = max(1, self._window_cycles)
-        self._publisher.publish(
-            Statistics(
-                service=self._service,
-                pid=os.getpid(),
-                state=self._state,
-                detail=self._detail,
-                cycles=self._cycles,
-                cycle_time_mean=self._work_sum / cycles,
-                cycle_time_max=self._work_max,
-                period_mean=self._period_sum / cycles,
-                period_max=self._period_max,
-                overruns=self._overruns,
-                cpu_percent=self._process.cpu_percent(),
-                memory_mib=self._process.memory_info().rss / 2**20,
-                drops=self.drops,
-                rejected=self.rejected,
-            )
+        self._newest = Statistics(
+            service=self._service,
+            pid=os.getpid(),
+            state=self._state,
+            detail=self._detail,
+            cycles=self._cycles,
+            cycle_time_mean=self._work_sum / cycles,
+            cycle_time_max=self._work_max,
+            period_mean=self._period_sum / cycles,
+            period_max=self._period_max,
+            overruns=self._overruns,
+            cpu_percent=self._process.cpu_percent(),
+            memory_mib=self._process.memory_info().rss / 2**20,
+            drops=self.drops,
+            rejected=self.rejected,
         )
+        self._publisher.publish(self._newest)
         self._reset(now)
 
 
