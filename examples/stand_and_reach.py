@@ -377,37 +377,49 @@ def table(motions: list[Motion], streams: dict[str, float | None]) -> str:
     return "\n".join(lines)
 
 
+def measure(json_file: Path | None) -> None:
+    """Perform and report.
+
+    Raises:
+        ClientError: something did not work, or a joint ended too far from its goal.
+        OSError: the report could not be written.
+    """
+    robot = Robot()
+    try:
+        changes, motions = perform(robot)
+        streams = robot.streams()
+    finally:
+        robot.close()
+    say(table(motions, streams))
+    if json_file:
+        report = {
+            "mode_changes": [asdict(change) for change in changes],
+            "motions": [asdict(motion) for motion in motions],
+            "streams": streams,
+        }
+        json_file.write_text(json.dumps(report, indent=2) + "\n")
+    for motion in motions:
+        if not motion.max_error <= TOLERANCE:
+            error, joint = motion.max_error, motion.worst_joint
+            raise ClientError(
+                f"{motion.name}: {joint} ended {error:.4f} rad off its goal; within {TOLERANCE:g} expected"
+            )
+
+
 def main() -> int:
     """Returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the measurements there")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    robot = Robot()
     try:
-        changes, motions = perform(robot)
-        streams = robot.streams()
-        say(table(motions, streams))
-        if arguments.json:
-            report = {
-                "mode_changes": [asdict(change) for change in changes],
-                "motions": [asdict(motion) for motion in motions],
-                "streams": streams,
-            }
-            arguments.json.write_text(json.dumps(report, indent=2) + "\n")
-        for motion in motions:
-            if not motion.max_error <= TOLERANCE:
-                error, joint = motion.max_error, motion.worst_joint
-                raise ClientError(
-                    f"{motion.name}: {joint} ended {error:.4f} rad off its goal; within {TOLERANCE:g} expected"
-                )
+        measure(arguments.json)
     except (ClientError, OSError) as error:
         print(f"stand_and_reach: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
+        print("stand_and_reach: interrupted", file=sys.stderr)
         return 130
-    finally:
-        robot.close()
     return 0
 
 
