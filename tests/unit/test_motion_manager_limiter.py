@@ -42,7 +42,7 @@ class Watch:
         self.position, self.velocity = position.copy(), velocity.copy()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(st.tuples(st.floats(-10, 10), st.floats(-1, 1), st.integers(1, 200)), min_size=1, max_size=12),
@@ -134,7 +134,7 @@ def test_a_set_point_with_velocity_does_not_run_on() -> None:
     assert not reference.velocity.any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.data())
 def test_no_sequence_of_holds_moves_and_set_points_makes_a_joint_jump(data: st.DataObject) -> None:
     reference = JointReference(ROBOT)

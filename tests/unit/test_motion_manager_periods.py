@@ -194,7 +194,7 @@ def test_operation_drives_each_joint_as_robot_yaml_says(standing: Robot) -> None
         (Behavior.STAND, Behavior.STAND_PREP),
         (Behavior.STAND, Behavior.FREEZE, Behavior.STAND_PREP, Behavior.STAND),
         (Behavior.STAND, Behavior.STAND_MANIPULATE, Behavior.FREEZE, Behavior.IDLE),
-        (Behavior.STAND, Behavior.SOFT_STOP, Behavior.STAND, Behavior.STAND_PREP, Behavior.STAND),
+        (Behavior.STAND, Behavior.SOFT_STOP, Behavior.STAND, Behavior.STAND_PREP),
         (Behavior.STAND, Behavior.STAND_PREP, Behavior.IDLE, Behavior.STAND_PREP, Behavior.STAND),
     ],
 )
@@ -372,7 +372,7 @@ def test_an_error_of_ours_repeats_the_last_command_and_then_falls(standing: Robo
 values = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1.0, -3.0, 1e9, 1e300])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.data())
 @np.errstate(all="ignore")
 def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.DataObject) -> None:
