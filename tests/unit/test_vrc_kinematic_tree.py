@@ -10,6 +10,7 @@ from valor_common.errors import ConfigurationError
 from valor_common.model import full_model
 from valor_common.robot import RobotDescription
 from valor_ros_controller.kinematic_tree import KinematicTree
+from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 from valor_ros_controller.ros.transforms import LinkTransforms, multiply, rotate
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
@@ -46,8 +47,36 @@ def test_links_and_frames_stand_where_mujoco_puts_them(name):
     for side in ("left", "right"):
         sole = getattr(robot.tables.feet, side).sole
         frame = next(frame for frame in tree.frames if frame.target == sole)
-        in_base = transforms.in_base(frame.link, np.array(frame.position))
+        in_base = np.array(transforms.in_base(frame.link, frame.position))
         assert base_position + rotate(base_orientation, in_base) == pytest.approx(data.site_xpos[model.site(sole)])
+
+
+def test_a_prepared_message_is_what_rclpy_would_have_sent():
+    from builtin_interfaces.msg import Time
+    from geometry_msgs.msg import TransformStamped
+    from rclpy.serialization import deserialize_message, serialize_message
+    from tf2_msgs.msg import TFMessage
+
+    def message(stamp, numbers):
+        made = TFMessage()
+        for child, row in zip(("a", "longer_name", "c"), numbers, strict=True):
+            transform = TransformStamped(child_frame_id=child)
+            transform.header.stamp = stamp
+            transform.header.frame_id = "odom"
+            translation, rotation = transform.transform.translation, transform.transform.rotation
+            translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w = row
+            made.transforms.append(transform)
+        return made
+
+    prepared = PreparedMessage(message(stamp_mark(), np.reshape([mark(i) for i in range(21)], (3, 7)).tolist()), 21)
+    stamp = Time(sec=12, nanosec=345)
+    for seed in (1, 2):
+        prepared.values[:] = np.random.default_rng(seed).normal(size=21)
+        wanted = message(stamp, prepared.values.reshape(3, 7).tolist())
+        assert len(prepared.serialized(stamp)) == len(serialize_message(wanted))  # padding may differ
+        assert deserialize_message(prepared.serialized(stamp), TFMessage) == wanted
+    with pytest.raises(ValueError, match="marked numbers"):
+        PreparedMessage(wanted, 21)
 
 
 def test_rep_120_frames_are_there():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +16,10 @@ from tf2_msgs.msg import TFMessage
 from valor_common.messages import MotionState
 from valor_common.robot import RobotDescription
 from valor_ros_controller.kinematic_tree import KinematicTree
+from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 
 Vector = npt.NDArray[np.float64]
+Point = tuple[float, float, float]
 
 ODOM = "odom"
 FOOTPRINT = "base_footprint"
@@ -77,30 +80,45 @@ class LinkTransforms:
         if self._eccentric:  # the hinge's anchor stays where it is
             self.position = self._offset + rotate(self._fixed, self._anchor) - rotate(self.orientation, self._anchor)
 
-    def in_base(self, link: str, point: Vector) -> Vector:
-        """A point fixed to a link (3,), in the base's frame."""
-        while link in self._number:
-            i = self._number[link]
-            point = self.position[i] + rotate(self.orientation[i], point)
+    def in_base(self, link: str, point: Point) -> Point:
+        """A point fixed to a link, in the base's frame [m]."""
+        while (i := self._number.get(link)) is not None:
+            point = _moved(self.position[i].tolist(), self.orientation[i].tolist(), point)
             link = self._parent[i]
         return point
 
 
-def _fill(transform: TransformStamped, position: list[float], orientation: list[float]) -> None:
-    translation, rotation = transform.transform.translation, transform.transform.rotation
-    translation.x, translation.y, translation.z = position
-    rotation.w, rotation.x, rotation.y, rotation.z = orientation
+def _moved(position: list[float], orientation: list[float], point: Point) -> Point:
+    """A point turned, then shifted. A few single points are quicker without NumPy."""
+    w, x, y, z = orientation
+    a, b, c = point
+    tx, ty, tz = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return (
+        position[0] + a + w * tx + y * tz - z * ty,
+        position[1] + b + w * ty + z * tx - x * tz,
+        position[2] + c + w * tz + x * ty - y * tx,
+    )
 
 
-def _transform(parent: str, child: str, stamp: Time) -> TransformStamped:
+def _transform(parent: str, child: str, stamp: Time, numbers: Sequence[float]) -> TransformStamped:
+    """``numbers``: translation x, y, z and rotation x, y, z, w, as the message has them."""
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id = parent
     message.header.stamp = stamp
+    translation, rotation = message.transform.translation, message.transform.rotation
+    translation.x, translation.y, translation.z = numbers[:3]
+    rotation.x, rotation.y, rotation.z, rotation.w = numbers[3:]
     return message
 
 
+def _numbers(position: Sequence[float], orientation: Sequence[float]) -> tuple[float, ...]:
+    """Of a position and a quaternion (w, x, y, z)."""
+    w, *vector = orientation
+    return (*position, *vector, w)
+
+
 class TransformPublisher:
-    """Publishes the transforms; one message, filled anew each time."""
+    """Publishes the transforms; one message, written anew each time."""
 
     def __init__(self, node: Node, tree: KinematicTree, robot: RobotDescription, stamp: Time) -> None:
         """Publish what is fixed, and prepare what moves.
@@ -111,51 +129,45 @@ class TransformPublisher:
             robot: its description.
             stamp: robot time, kept up to date by its owner.
         """
+        self._stamp = stamp
         self._links = LinkTransforms(tree, robot)
-        self._soles = [
-            next((frame.link, np.array(frame.position)) for frame in tree.frames if frame.target == foot.sole)
-            for foot in (robot.tables.feet.left, robot.tables.feet.right)
-        ]
+        soles = {frame.target: (frame.link, frame.position) for frame in tree.frames}
+        self._soles = [soles[robot.tables.feet.left.sole], soles[robot.tables.feet.right.sole]]
         base = tree.base_frame
-        self._base = _transform(ODOM, base, stamp)
-        self._footprint = _transform(ODOM, FOOTPRINT, stamp)
-        self._moving = [
-            _transform(base if link.parent == tree.base else link.parent, link.name, stamp) for link in tree.links
+
+        edges = [(ODOM, base), (ODOM, FOOTPRINT)]
+        edges += [(base if link.parent == tree.base else link.parent, link.name) for link in tree.links]
+        marks = [
+            _transform(parent, child, stamp_mark(), [mark(7 * i + j) for j in range(7)])
+            for i, (parent, child) in enumerate(edges)
         ]
-        self._message = TFMessage(transforms=[self._base, self._footprint, *self._moving])
+        self._message = PreparedMessage(TFMessage(transforms=marks), 7 * len(edges))
+        self._rows = self._message.values.reshape(-1, 7)
         self._publisher = node.create_publisher(TFMessage, "/tf", 100)
+
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._static = node.create_publisher(TFMessage, "/tf_static", latched)
         fixed = []
         if base != tree.base:  # links keep the names of the model's bodies; the base has both
-            transform = _transform(base, tree.base, Time())
-            _fill(transform, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
-            fixed.append(transform)
+            fixed.append(_transform(base, tree.base, Time(), _numbers((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
         for frame in tree.frames:
-            transform = _transform(base if frame.link == tree.base else frame.link, frame.name, Time())
-            _fill(transform, list(frame.position), list(frame.orientation))
-            fixed.append(transform)
+            parent = base if frame.link == tree.base else frame.link
+            fixed.append(_transform(parent, frame.name, Time(), _numbers(frame.position, frame.orientation)))
         self._static.publish(TFMessage(transforms=fixed))
 
     def publish(self, joint_position: Vector, motion: MotionState) -> None:
         """Publish the transforms of a state."""
-        links = self._links
+        links, rows = self._links, self._rows
         links.update(joint_position)
-        base_position, base_orientation = motion.pelvis_position_in_odom, motion.pelvis_orientation_in_odom
-        for transform, position, orientation in zip(
-            self._moving, links.position.tolist(), links.orientation.tolist(), strict=True
-        ):
-            _fill(transform, position, orientation)
-        _fill(self._base, base_position.tolist(), base_orientation.tolist())
-        left, right = (
-            base_position + rotate(base_orientation, links.in_base(link, point)) for link, point in self._soles
-        )
-        middle = 0.5 * (left + right)
-        w, x, y, z = base_orientation.tolist()
+        position = motion.pelvis_position_in_odom.tolist()
+        orientation = motion.pelvis_orientation_in_odom.tolist()
+        left, right = (_moved(position, orientation, links.in_base(link, point)) for link, point in self._soles)
+        w, x, y, z = orientation
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        _fill(
-            self._footprint,
-            [float(middle[0]), float(middle[1]), float(min(left[2], right[2]))],
-            [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)],
-        )
-        self._publisher.publish(self._message)
+        middle = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), min(left[2], right[2]))
+        rows[0] = _numbers(position, orientation)
+        rows[1] = _numbers(middle, (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)))
+        rows[2:, :3] = links.position
+        rows[2:, 3:6] = links.orientation[:, 1:]
+        rows[2:, 6] = links.orientation[:, 0]
+        self._publisher.publish(self._message.serialized(self._stamp))
