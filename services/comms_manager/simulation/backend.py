@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
-import mujoco
-
 from comms_manager.backend import Backend
 from comms_manager.commands import Commands
 from comms_manager.simulation.clock import CLOCKS, Pacer, Wall
@@ -24,8 +20,6 @@ class Simulation(Backend):
 
     def __init__(self, context: Context) -> None:
         settings, robot = context.settings, context.robot
-        # By itself MuJoCo writes its warnings to a file in the working directory.
-        mujoco.set_mju_user_warning(logging.getLogger("comms_manager").warning)
         plant = Plant(robot, settings.world, settings.actuators, settings.seed)
         steps = round(robot.control_period / plant.step_time)
         if steps < 1 or abs(steps * plant.step_time - robot.control_period) > 1e-9:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import mujoco
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +48,8 @@ class Plant:
             known = ", ".join(robot.tables.actuators)
             raise ConfigurationError(f"actuators {profile!r}: expected one of robot.yaml's profiles: {known}")
         table = robot.tables.actuators[profile]
+        # By itself MuJoCo writes its warnings to a file in the working directory.
+        mujoco.set_mju_user_warning(logging.getLogger("comms_manager").warning)
         self.model = Model(robot, scene(robot, world, "collision").compile())
         mj = self.model.mj
         self._scale_masses(table.mass_error, np.random.default_rng([seed, 0]))
