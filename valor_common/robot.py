@@ -177,8 +177,8 @@ class WholeBody(Table):
     posture_stiffness: Positive = 60.0
     posture_damping: Positive = 14.0
     dcm_integral_gain: NonNegative = 1.0  # [1/s]
-    dcm_integral_limit: NonNegative = 0.05  # [m]
-    dcm_integral_hold: Positive = 0.03  # DCM error above which the integral waits [m]
+    dcm_integral_limit: NonNegative = 0.1  # [m]
+    dcm_integral_error: Positive = 0.01  # most of the DCM error that is integrated: a push is no model error [m]
     com_shift_limit: NonNegative = 0.05  # horizontal, of the CoM's reference with the arms; 0: thesis behaviour [m]
     com_shift_bandwidth: Positive = 20.0  # [rad/s]
     support_bandwidth: Positive = 2.0  # at which the CoM's reference follows the soles [rad/s]

@@ -60,7 +60,7 @@ class WholeBodyController:
             table.dcm_gain,
             table.dcm_integral_gain,
             table.dcm_integral_limit,
-            table.dcm_integral_hold,
+            table.dcm_integral_error,
         )
         self._reference = StandReference(model, omega, self._upper_body)
         self._objective = Objective(table, joints)

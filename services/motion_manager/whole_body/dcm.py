@@ -4,10 +4,11 @@ With ω = √(g/z) the DCM is ξ = c + ċ/ω, and the CoM follows it by itself: 
 v encodes the force on the CoM, gravity included, c̈ = ω²·(c − v), and repels the DCM: ξ̇ = ω·(ξ − v) (Englsberger, Ott &
 Albu-Schäffer 2015, equations 6–16; Hopkins et al. 2014 for a time-varying ω; thesis 3.4.2). The law
 
-    v = v_ref + (1 + k/ω)·(ξ − ξ_ref) + i,   i̇ = k_i·(ξ − ξ_ref)
+    v = v_ref + (1 + k/ω)·(ξ − ξ_ref) + i,   i̇ = k_i·clip(ξ − ξ_ref)
 
 with v_ref = ξ_ref − ξ̇_ref/ω gives the error e = ξ − ξ_ref the dynamics ė = −k·e − ω·i: it decays with k, and what the
-model has wrong (masses, their places) ends in i and not in e.
+model has wrong (masses, their places) ends in i and not in e. What is integrated is clipped, for a large error is a
+push that will pass.
 """
 
 from __future__ import annotations
@@ -27,17 +28,23 @@ class DcmLaw:
         integral: (3,) i [m].
     """
 
-    def __init__(self, omega: float, gain: float, integral_gain: float, integral_limit: float, hold: float) -> None:
-        """Args:
-        omega: ω [1/s]. gain: k [1/s]. integral_gain: k_i [1/s].
-        integral_limit: of each component of i [m].
-        hold: error above which i waits, for then something pushes, and it is not the model [m].
+    def __init__(
+        self, omega: float, gain: float, integral_gain: float, integral_limit: float, integral_error: float
+    ) -> None:
+        """A law without a history.
+
+        Args:
+            omega: ω [1/s].
+            gain: k [1/s].
+            integral_gain: k_i [1/s].
+            integral_limit: of each component of i [m].
+            integral_error: most of each component of the error that is integrated [m].
         """
         self.omega = omega
         self._proportional = 1.0 + gain / omega
         self._integral_gain = integral_gain
         self._integral_limit = integral_limit
-        self._hold = hold
+        self._integral_error = integral_error
         self.integral = np.zeros(3)
 
     @staticmethod
@@ -47,18 +54,20 @@ class DcmLaw:
 
     def reset(self) -> None:
         """Forget the integral."""
-        self.integral[:] = 0.0
+        self.integral = np.zeros(3)
 
     def repellent_point(
         self, dcm: FloatArray, reference: FloatArray, vrp_reference: FloatArray, dt: float
     ) -> FloatArray:
         """(3,) v [m] for the DCM, its reference and the reference's VRP, (3,) in odom [m], after ``dt`` [s]."""
         error = dcm - reference
-        x, y, z = error.tolist()
-        if x * x + y * y + z * z < self._hold * self._hold:
-            self.integral += (self._integral_gain * dt) * error
-            np.minimum(self.integral, self._integral_limit, out=self.integral)
-            np.maximum(self.integral, -self._integral_limit, out=self.integral)
+        slow = np.minimum(error, self._integral_error)
+        np.maximum(slow, -self._integral_error, out=slow)
+        slow *= self._integral_gain * dt
+        slow += self.integral
+        np.minimum(slow, self._integral_limit, out=slow)
+        np.maximum(slow, -self._integral_limit, out=slow)
+        self.integral = slow
         error *= self._proportional
         error += vrp_reference
         error += self.integral

@@ -41,7 +41,12 @@ class Attitude:
     """
 
     def __init__(self, gain: float, imu_in_pelvis: Quaternion) -> None:
-        """Args: gain: share of the IMU's attitude taken over each period. imu_in_pelvis: how it is mounted."""
+        """Upright.
+
+        Args:
+            gain: share of the IMU's attitude taken over each period.
+            imu_in_pelvis: how it is mounted.
+        """
         self._gain = gain
         self._mounting = rotation.conjugate(imu_in_pelvis)
         self._heading = rotation.IDENTITY  # of odom from the IMU's world

@@ -49,7 +49,12 @@ class ContactForceQp:
     """
 
     def __init__(self, generators: int, joint_damping: FloatArray) -> None:
-        """Args: generators: nρ. joint_damping: (nj,) viscous [N·m·s/rad]."""
+        """A problem with nothing bound.
+
+        Args:
+            generators: nρ.
+            joint_damping: (nj,) viscous [N·m·s/rad].
+        """
         self._count = generators
         self._damping = joint_damping
         self._joints = len(joint_damping)

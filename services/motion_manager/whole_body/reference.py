@@ -34,7 +34,12 @@ class Follower:
     """
 
     def __init__(self, bandwidth: float, dt: float) -> None:
-        """Args: bandwidth: ω [rad/s]. dt: of an update [s]."""
+        """At rest at the origin.
+
+        Args:
+            bandwidth: ω [rad/s].
+            dt: of an update [s].
+        """
         w = bandwidth
         acceleration = np.array((-w * w, -2.0 * w, 0.0))
         rate = np.array((0.0, 1.0, 0.0)) + dt * acceleration

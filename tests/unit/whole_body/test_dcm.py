@@ -34,7 +34,7 @@ def simulate(
 
 @pytest.mark.parametrize("gain", [2.0, 5.0, 12.0])
 def test_the_error_decays_with_the_gain(gain: float) -> None:
-    law = DcmLaw(OMEGA, gain, integral_gain=0.0, integral_limit=0.0, hold=1.0)
+    law = DcmLaw(OMEGA, gain, integral_gain=0.0, integral_limit=0.0, integral_error=1.0)
     errors = simulate(law, np.array((0.02, 0.0, 0.0)), np.zeros(3), 0.5, np.zeros(3))
     times = np.arange(len(errors)) * STEP
     np.testing.assert_allclose(errors, 0.02 * np.exp(-gain * times), atol=0.02 * 0.01)
@@ -50,14 +50,14 @@ def test_a_wrong_model_ends_in_the_integral_and_not_in_the_error() -> None:
     assert law.integral[0] == pytest.approx(0.15 / OMEGA**2, rel=0.01)
 
 
-def test_the_integral_waits_while_something_pushes_and_is_bounded() -> None:
-    law = DcmLaw(OMEGA, 5.0, 1.0, 0.05, hold=0.03)
-    for _ in range(1000):
-        law.repellent_point(np.array((0.06, 0.0, 0.0)), np.zeros(3), np.zeros(3), 0.002)
-    assert law.integral[0] == 0.0
+def test_the_integral_is_slow_to_believe_a_push_and_is_bounded() -> None:
+    law = DcmLaw(OMEGA, 5.0, 1.0, 0.05, integral_error=0.01)
+    for _ in range(500):
+        law.repellent_point(np.array((0.1, -0.1, 0.005)), np.zeros(3), np.zeros(3), 0.002)
+    np.testing.assert_allclose(law.integral, (0.01, -0.01, 0.005))  # after one second
     for _ in range(10000):
-        law.repellent_point(np.array((0.02, 0.0, 0.0)), np.zeros(3), np.zeros(3), 0.002)
-    assert law.integral[0] == 0.05
+        law.repellent_point(np.array((0.1, -0.1, 0.0)), np.zeros(3), np.zeros(3), 0.002)
+    np.testing.assert_allclose(law.integral, (0.05, -0.05, 0.005))
     law.reset()
     assert not law.integral.any()
 
