@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import time
@@ -21,7 +22,7 @@ from valor_common.errors import ValorError
 from valor_common.instance import Instance
 from valorctl import supervisor_config
 
-_SHARED_MEMORY = Path("/dev/shm")
+_SHARED_MEMORY = re.compile(r"/dev/shm/\S*(?:fastrtps|fastdds)\S*")
 
 
 @dataclass(frozen=True)
@@ -59,13 +60,15 @@ def processes_of(instance: Instance) -> list[psutil.Process]:
 
 
 def shared_memory_of(processes: Iterable[psutil.Process]) -> set[Path]:
-    """The shared-memory files that processes hold in their address space."""
-    files = set()
+    """Fast DDS' shared-memory files that processes hold in their address space.
+
+    None as long as ``FASTDDS_BUILTIN_TRANSPORTS`` says UDPv4; a profile or a shell may say otherwise.
+    """
+    files: set[Path] = set()
     for process in processes:
         with contextlib.suppress(OSError):
-            for line in Path(f"/proc/{process.pid}/maps").read_text().splitlines():
-                if (at := line.find(f"{_SHARED_MEMORY}/")) >= 0:
-                    files.add(Path(line[at:]))
+            maps = Path(f"/proc/{process.pid}/maps").read_text()
+            files.update(Path(name) for name in _SHARED_MEMORY.findall(maps))
     return files
 
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from valor_common.instance import Instance, Settings
+from valorctl.__main__ import main
 from valorctl.app import app, hoist_instance
 from valorctl.control_mode import Flag, ModeChange, flag_names
 from valorctl.environment import exports
@@ -140,3 +141,49 @@ def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str,
     assert change.reached is reached
     assert ("refused" in change.describe()) is not reached
     assert ("leg tired" in change.describe()) is not reached
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["status"],
+        ["mode"],
+        ["mode", "stand"],
+        ["arm", "left", "forward"],
+        ["push", "1", "2", "3"],
+        ["restart", "bifrostd"],
+        ["logs"],
+        ["logs", "nobody"],
+        ["env"],
+        ["topic", "list"],
+        ["bag", "info", "/nowhere.mcap"],
+        ["bag", "recover", "/nowhere.mcap"],
+        ["up", "--profile", "moon"],
+        ["up", "--robot", "/nowhere"],
+        ["status", "--instance", "No Name"],
+    ],
+)
+def test_what_is_foreseeable_takes_one_line(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for name in ("VALOR_INSTANCE", "BIFROST_NETWORK", "BIFROST_KEYS"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setenv("VALOR_HOME", str(tmp_path))
+    monkeypatch.setattr("sys.argv", ["valorctl", *arguments])
+    assert main() == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("valorctl: ")
+    assert err.count("\n") == 1
+
+
+def test_down_of_what_is_not_up_is_done(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("VALOR_HOME", str(tmp_path))
+    monkeypatch.setenv("VALOR_INSTANCE", "")
+    monkeypatch.setattr("sys.argv", ["valorctl", "down"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code in (0, None)
+    assert "not up" in capsys.readouterr().out
