@@ -115,6 +115,7 @@ class ValorEscherInterface:
         self._transition: BehaviorTransition | None = None
         self._number = 1
         self._last_sequence = 0
+        self._newest_sequence = 0
         self._heard_proprioceptor = self._heard_motion = -np.inf
         self._written: Indices | None = None
         self._names: list[str] = []
@@ -152,6 +153,7 @@ class ValorEscherInterface:
             if received is None:
                 break
             self._heard_proprioceptor = time.monotonic()
+            self._newest_sequence = received.message.sequence
             due = self._take(received.message)
         self._listen(time.monotonic())
         return due
@@ -189,19 +191,27 @@ class ValorEscherInterface:
                 self.behavior, self.behavior_reason = motion.behavior, motion.reason
             else:
                 self._reject(f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers")
-        proprioceptor_silent = now - self._heard_proprioceptor > self._timeout
+        self.silent = self._who_is_silent(now)
         if now - self._heard_motion > self._timeout:
             self.behavior = ""
-            self.silent = "motion_manager"
-        else:
-            self.silent = ""
-        if proprioceptor_silent:
-            self.silent = "comms_manager"
         answer = self._commander.answers.read()
         if self._transition and self.behavior:
             command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
             if command:
                 self._commander.ask(*command)
+
+    def _who_is_silent(self, now: float) -> str:
+        """The process that stopped; the other one may have nothing to say without it."""
+        proprioceptor_silent = now - self._heard_proprioceptor > self._timeout
+        motion_silent = now - self._heard_motion > self._timeout
+        if proprioceptor_silent and motion_silent:
+            # In lockstep the Comms Manager waits for the Motor that it is owed: who owes it, stopped.
+            motion = self._hw.motion
+            owed = motion is not None and motion.proprioceptor_sequence < self._newest_sequence
+            return "motion_manager" if owed else "comms_manager"
+        if proprioceptor_silent:
+            return "comms_manager"
+        return "motion_manager" if motion_silent else ""
 
     def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
         """Ask for two behaviors, one after the other; ends a transition that is under way."""

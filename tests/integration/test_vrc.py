@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -27,6 +29,7 @@ from valor_common.messages import (
     Statistics,
 )
 from valor_common.robot import RobotDescription
+from valor_common.service import EXIT_CONFIGURATION
 from valor_common.topics import (
     CONTROL_MODE,
     JOINT_SETPOINTS,
@@ -42,7 +45,7 @@ HOME = ROBOT.tables.arm_presets["home"]["right"]
 FORWARD = ROBOT.tables.arm_presets["forward"]["right"]
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP = 0, -1, -2, -3
 ACCEPTED, REJECTED, DUPLICATE, EXTERNAL_CHANGE = 1, 2, 16, 32
-INVALID_MODE, INVALID_TRANSITION = 1024, 2048
+NOT_READY, INVALID_MODE, INVALID_TRANSITION = 512, 1024, 2048
 STATUS_SUCCEEDED, STATUS_CANCELED, STATUS_ABORTED = 4, 5, 6
 PATIENCE = 60.0  # [s]
 
@@ -184,6 +187,8 @@ def test_tf_odometry_and_clock(ros: RosClient) -> None:
 
 
 def test_modes(ros: RosClient, node: bifrost.Node) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
     go(ros, "stand")
     reports = node.subscriber(CONTROL_MODE.name, ControlModeReport, queue=1000)
     repeat = ros.change_mode("STAND")
@@ -191,6 +196,19 @@ def test_modes(ros: RosClient, node: bifrost.Node) -> None:
     for name, status in (("dance", REJECTED | INVALID_MODE), ("none", REJECTED | INVALID_TRANSITION)):
         result = ros.change_mode(name)
         assert (result.status, result.current_control_mode) == (status, "stand")
+    diagnostics = Topic(ros, DiagnosticArray, "/diagnostics")
+
+    def said() -> dict[str, str]:
+        return {
+            pair.key: pair.value
+            for message in diagnostics.messages[-1:]
+            for status in message.status
+            for pair in status.values
+        }
+
+    wait_until(lambda: "none: not allowed from stand" in said().get("last control mode refused", ""), PATIENCE, "why")
+    assert said()["behavior"] == "stand"
+    diagnostics.close()
     result = ros.change_mode("Stand_Manipulate")
     assert (result.status, result.current_control_mode) == (ACCEPTED, "stand_manipulate")
     wait_until(
@@ -360,11 +378,12 @@ def test_a_dead_motion_manager_aborts_goals_by_name_and_its_return_is_followed(
 ) -> None:
     handle = send(manipulating, FORWARD, 6.0)
     system.kill("motion_manager")
-    answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
-    assert answer.status == STATUS_ABORTED and "motion_manager is silent" in answer.result.error_string
-    refused = manipulating.change_mode("stand")
-    assert refused.status == REJECTED | 512
-    system.start("motion_manager")
+    try:
+        answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+        assert answer.status == STATUS_ABORTED and "motion_manager is silent" in answer.result.error_string
+        assert manipulating.change_mode("stand").status == REJECTED | NOT_READY
+    finally:
+        system.start("motion_manager")
     wait_until(
         lambda: manipulating.reports[-1][1].current_control_mode in ("stand_prep", "stand"),
         PATIENCE,
@@ -386,6 +405,25 @@ def test_a_dead_comms_manager_is_named_and_its_return_is_followed(
     system.start("comms_manager")
     system.wait_ready(VRC, PATIENCE)
     statistics.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-p", "update_rate:=1000.0"], ("update_rate", "1000", "expected 1 to 500")),
+        (["-p", "update_rate:=fast"], ("update_rate", "expected as 250.0")),
+    ],
+)
+def test_wrong_parameters_end_it_with_one_line(
+    system: RunningInstance, arguments: list[str], words: tuple[str]
+) -> None:
+    command = [sys.executable, "-m", VRC, "--ros-args", *arguments]
+    environment = system.environment | {"ROS_DOMAIN_ID": "166"}
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    assert result.returncode == EXIT_CONFIGURATION, result.stderr
+    assert "Traceback" not in result.stderr, result.stderr
+    lines = [line for line in result.stderr.splitlines() if "ERROR" in line]
+    assert len(lines) == 1 and all(word in lines[0] for word in words), result.stderr
 
 
 def test_sigterm_ends_it_in_order(system: RunningInstance) -> None:
