@@ -41,6 +41,7 @@ class Offscreen:
     def render(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Image:
         """(height, width, 3) what the camera sees."""
         everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateCamera(self._model, data, camera, self._scene)  # the headlight takes the scene's last camera
         mujoco.mjv_updateScene(self._model, data, self._option, None, camera, everything, self._scene)
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
         mujoco.mjr_readPixels(self._image, None, self._rectangle, self._context)
