@@ -72,7 +72,7 @@ class Daemon:
             if incarnation in self._members:
                 record = self._members[incarnation].record
                 _log.info("node %s (pid %d) went without a word", record.name, record.pid)
-                self._drop(incarnation)
+                self._drop(incarnation, "lost")
         self._drop_silent()
 
     def _disconnected(self) -> list[int]:
@@ -117,14 +117,14 @@ class Daemon:
                 self._broadcast(d.Update(self._epoch, self._version, message.node), but=sender)
             self._send_table(sender)
         elif isinstance(message, d.Leave):
-            self._drop(message.incarnation)
+            self._drop(message.incarnation, "left")
         else:
             self._send(sender, self._info())
 
-    def _drop(self, incarnation: int) -> None:
+    def _drop(self, incarnation: int, reason: d.Reason) -> None:
         if self._members.pop(incarnation, None) is not None:
             self._version += 1
-            self._broadcast(d.Gone(self._epoch, self._version, incarnation))
+            self._broadcast(d.Gone(self._epoch, self._version, incarnation, reason))
 
     def _drop_silent(self) -> None:
         now = time.monotonic()
@@ -137,7 +137,7 @@ class Daemon:
         for incarnation in silent:
             record = self._members[incarnation].record
             _log.warning("node %s (pid %d) is silent: dropped", record.name, record.pid)
-            self._drop(incarnation)
+            self._drop(incarnation, "silent")
 
     def _info(self) -> d.DaemonInfo:
         return d.DaemonInfo(

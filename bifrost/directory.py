@@ -9,6 +9,8 @@ import msgspec
 from bifrost.schema import Schema
 
 Kind = Literal["publisher", "subscriber", "server", "client"]
+# Why a node is gone: it took its leave, its connection to the daemon ended, or nothing was heard of it.
+Reason = Literal["left", "lost", "silent"]
 
 HEARTBEAT_PERIOD = 1.0  # of a node [s]
 NODE_TIMEOUT = 3.5  # a node not heard of for this long is dropped [s]
@@ -101,11 +103,12 @@ class Update(msgspec.Struct, tag="update"):
 
 
 class Gone(msgspec.Struct, tag="gone"):
-    """A node has left or is silent."""
+    """A node is no longer in the table."""
 
     epoch: int
     version: int
     incarnation: int
+    reason: Reason
 
 
 class Alive(msgspec.Struct, tag="alive"):

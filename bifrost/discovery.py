@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import msgspec
 import zmq
@@ -23,8 +24,9 @@ from bifrost.schema import Schema
 from bifrost.security import Gate, connecting_socket
 
 WAKE_ENDPOINT = "inproc://bifrost.wake"
-_DRAIN_TIME = 1.0  # a publisher that left is disconnected after this: what it sent last may be on its way [s]
-_RETURN_TIME = 10.0  # what a new daemon does not know is kept this long: it may not have registered again yet [s]
+# How long subscribers stay connected to the publishers of a node that is no longer in the table [s]: what it sent last
+# may be on its way; a starved machine makes the living silent; a new daemon does not know everybody at once.
+_KEPT: dict[d.Reason | Literal["forgotten"], float] = {"left": 1.0, "lost": 3.0, "silent": 10.0, "forgotten": 10.0}
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Watch:
 class _Departed:
     record: d.NodeRecord
     until: float
-    returning: bool  # it may be alive: its daemon was restarted
+    callable: bool  # its servers may be alive
 
 
 @dataclass
@@ -188,12 +190,7 @@ class Discovery:
         )
 
     def _peers(self, watch: Watch) -> tuple[Peer, ...]:
-        departed = (
-            each.record
-            for each in self._state.departed.values()
-            # Nobody calls a server that has left; what a publisher sent last is still read.
-            if each.returning or watch.kind == "publisher"
-        )
+        departed = (each.record for each in self._state.departed.values() if each.callable or watch.kind == "publisher")
         records = [*self._state.nodes.values(), *departed]
         records.sort(key=lambda record: record.started)
         return tuple(
@@ -293,10 +290,10 @@ class Discovery:
             self._dirty = True
         elif isinstance(message, d.Table):
             new = {record.incarnation: record for record in message.nodes}
-            returning = message.epoch != state.epoch
+            reason: d.Reason | Literal["forgotten"] = "lost" if message.epoch == state.epoch else "forgotten"
             for incarnation, record in state.nodes.items():
                 if incarnation not in new and incarnation != self.incarnation:
-                    self._depart(record, returning)
+                    self._depart(record, reason)
             own = state.nodes.get(self.incarnation)
             state.nodes = new
             state.epoch, state.version = message.epoch, message.version
@@ -312,9 +309,9 @@ class Discovery:
             if isinstance(message, d.Gone):
                 record_gone = state.nodes.pop(message.incarnation, None)
                 if record_gone is not None:
-                    self._depart(record_gone, False)
+                    self._depart(record_gone, message.reason)
                 elif message.incarnation in state.departed:
-                    state.departed[message.incarnation].returning = False
+                    self._depart(state.departed[message.incarnation].record, message.reason)
             elif message.node.incarnation != self.incarnation:
                 state.nodes[message.node.incarnation] = message.node
                 state.departed.pop(message.node.incarnation, None)
@@ -323,9 +320,9 @@ class Discovery:
                 self._dirty = True
             self._refresh()
 
-    def _depart(self, record: d.NodeRecord, returning: bool) -> None:
-        until = time.monotonic() + (_RETURN_TIME if returning else _DRAIN_TIME)
-        self._state.departed[record.incarnation] = _Departed(record, until, returning)
+    def _depart(self, record: d.NodeRecord, reason: d.Reason | Literal["forgotten"]) -> None:
+        until = time.monotonic() + _KEPT[reason]
+        self._state.departed[record.incarnation] = _Departed(record, until, reason in ("silent", "forgotten"))
 
     def _forget_departed(self) -> None:
         if not self._state.departed:

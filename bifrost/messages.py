@@ -43,6 +43,9 @@ class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=Fa
             return NotImplemented
         return ENCODER.encode(self) == ENCODER.encode(other)
 
+    def __ne__(self, other: object) -> bool:  # Struct has one of its own, which knows nothing of arrays
+        return not self == other
+
     __hash__ = None  # type: ignore[assignment]  # messages are mutable
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from bifrost.node import Node
 
 _log = logging.getLogger("bifrost")
+_WARNINGS = 20  # a subscriber's, at most; the rest is counted
 
 
 class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
@@ -256,7 +257,7 @@ class Subscriber(Generic[M]):
 
     def _reject(self, version: int, schema: bytes) -> None:
         self.rejected += 1
-        if schema not in self._warned:
+        if schema not in self._warned and len(self._warned) < _WARNINGS:
             self._warned.add(schema)
             _log.warning("%s: refused messages of version %d, schema %s", self.topic, version, schema.hex())
 
@@ -279,7 +280,7 @@ class Subscriber(Generic[M]):
             endpoint = peer.entry.endpoint
             if self._suits(peer.entry):
                 wanted.add(endpoint)
-            elif endpoint not in self._warned:
+            elif endpoint not in self._warned and len(self._warned) < _WARNINGS:
                 self._warned.add(endpoint)
                 _log.warning("%s", self._mismatch(peer.node, peer.entry.types, peer.entry.hashes))
         for endpoint in wanted - self._connected:

@@ -1,0 +1,189 @@
+"""A Bifrost network of a test's own: its daemon and peers are real processes, its nodes live in the test."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+
+import bifrost
+
+T = TypeVar("T")
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+class Sample(bifrost.Message):
+    """What peers publish."""
+
+    count: int
+    label: str
+    values: bifrost.Float64Array
+    flags: bifrost.Uint8Array
+
+
+class Question(bifrost.Message):
+    """What peers are asked."""
+
+    action: str
+    argument: float
+
+
+class Answer(bifrost.Message):
+    """What they reply."""
+
+    text: str
+    handled: int
+
+
+def sample(count: int, size: int = 38) -> Sample:
+    """A message whose content follows from its count."""
+    values = np.arange(size, dtype=np.float64) + count
+    return Sample(count, f"sample {count}", values, np.full(size, count % 256, np.uint8))
+
+
+def until(condition: Callable[[], T], what: str, timeout: float = 10.0) -> T:
+    """Poll until true; the failure names what was waited for."""
+    deadline = time.monotonic() + timeout
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"not within {timeout:g} s: {what}"
+        time.sleep(0.01)
+    return value
+
+
+class Peer:
+    """A process of the network; what it prints is JSON, a line each."""
+
+    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.integration.bifrost_peer", *arguments],
+            cwd=REPOSITORY,
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.line() == "ready"
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self.process.pid
+
+    def line(self) -> Any:
+        """The next that it prints."""
+        assert self.process.stdout is not None
+        text = self.process.stdout.readline()
+        assert text, f"the peer ended with {self.process.wait()}"
+        return json.loads(text)
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        self.process.send_signal(number)
+
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self.process.poll() is None
+
+    def kill(self) -> None:
+        """SIGKILL, and wait."""
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+class BifrostNetwork:
+    """The network, its daemon, and everything that a test started in it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.file, self.keys = folder / "network.json", folder / "keys"
+        self.network = bifrost.Network.create(self.file, self.keys)
+        self.environment = os.environ | {
+            "BIFROST_NETWORK": str(self.file),
+            "BIFROST_KEYS": str(self.keys),
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+        self.log = folder / "bifrostd.log"
+        self.daemon: subprocess.Popen[bytes] | None = None
+        self._nodes: list[bifrost.Node] = []
+        self._peers: list[Peer] = []
+
+    def start_daemon(self) -> subprocess.Popen[bytes]:
+        """Start it, and wait until it answers."""
+        with open(self.log, "ab") as log:
+            self.daemon = subprocess.Popen([sys.executable, "-m", "bifrost.daemon"], env=self.environment, stderr=log)
+        until(lambda: bifrost.daemon_alive(self.network, 0.5), "the daemon answers", 20.0)
+        return self.daemon
+
+    def kill_daemon(self) -> None:
+        """SIGKILL, and wait."""
+        assert self.daemon is not None
+        self.daemon.kill()
+        self.daemon.wait()
+        self.daemon = None
+
+    def node(self, name: str) -> bifrost.Node:
+        """A node in this process, closed with the network."""
+        self._nodes.append(bifrost.Node(name, network=self.network))
+        return self._nodes[-1]
+
+    def peer(self, *arguments: str) -> Peer:
+        """A process that has its publisher, subscriber or server; killed with the network."""
+        self._peers.append(Peer(self.environment, *arguments))
+        return self._peers[-1]
+
+    def close(self) -> None:
+        """End everything."""
+        for node in self._nodes:
+            node.close()
+        for peer in self._peers:
+            if peer.alive():
+                peer.kill()
+        if self.daemon is not None:
+            self.daemon.terminate()
+            assert self.daemon.wait(10) == 0, self.log.read_text()
+
+
+def connected(publisher: bifrost.Publisher[Sample], *subscribers: bifrost.Subscriber[Sample]) -> int:
+    """Publish until every subscriber has had a message, empty them; returns the sequence reached."""
+    sequence = 0
+    reached = dict.fromkeys(subscribers, 0)
+
+    def all_have() -> bool:
+        nonlocal sequence
+        sequence = publisher.publish(sample(0))
+        for subscriber, last in reached.items():
+            if not last and (received := subscriber.receive(timeout=0.02)) is not None:
+                reached[subscriber] = received.sequence
+        return all(reached.values())
+
+    until(all_have, "every subscriber has had a message")
+    for subscriber, last in reached.items():
+        while last < sequence:
+            received = subscriber.receive(timeout=5.0)
+            assert received is not None
+            last = received.sequence  # noqa: PLW2901
+    return sequence
+
+
+@pytest.fixture
+def bare_network(tmp_path: Path) -> Iterator[BifrostNetwork]:
+    """A network whose daemon does not run yet."""
+    made = BifrostNetwork(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def net(bare_network: BifrostNetwork) -> BifrostNetwork:
+    """A network whose daemon runs."""
+    bare_network.start_daemon()
+    return bare_network

@@ -1,0 +1,154 @@
+"""The name service: nodes find each other, and go on without it."""
+
+# ruff: noqa: F401, F811 - fixtures are imported by name
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zmq
+
+import bifrost
+from bifrost import directory
+from tests.integration.bifrost_network import (
+    Answer,
+    BifrostNetwork,
+    Question,
+    Sample,
+    bare_network,
+    net,
+    until,
+)
+
+
+def names(node: bifrost.Node) -> set[str]:
+    return set(node.graph(timeout=10.0).nodes)
+
+
+def test_data_flows_while_the_daemon_is_dead_and_all_register_again(net: BifrostNetwork) -> None:
+    net.peer("publish", "lab/sample", "100")
+    net.peer("serve", "lab/ask")
+    node = net.node("test")
+    subscriber = node.subscriber("lab/sample", Sample, queue=10_000)
+    client = node.client("lab/ask", Question, Answer)
+    assert subscriber.receive(timeout=10.0)
+    assert client.call(Question("open", 0.0), timeout=10.0).handled == 1
+    net.kill_daemon()
+    received = [subscriber.receive(timeout=5.0) for _ in range(100)]
+    assert None not in received
+    assert client.call(Question("open", 0.0), timeout=10.0).handled == 2
+    late = net.node("late")
+    late_subscriber = late.subscriber("lab/sample", Sample)
+    assert late_subscriber.receive(timeout=0.2) is None
+    net.start_daemon()
+    assert late_subscriber.receive(timeout=10.0) is not None
+    until(lambda: names(node) == {"publish_peer", "serve_peer", "test", "late"}, "all have registered again")
+    while subscriber.drain():
+        pass
+    assert subscriber.receive(timeout=5.0) is not None
+    assert subscriber.drops == 0
+
+
+def test_a_subscriber_is_not_cut_off_by_a_daemon_that_knows_nobody_yet(net: BifrostNetwork) -> None:
+    peer = net.peer("publish", "lab/sample", "100")
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=10_000)
+    assert subscriber.receive(timeout=10.0)
+    net.kill_daemon()
+    peer.signal(signal.SIGSTOP)  # it cannot register again
+    net.start_daemon()
+    watching = net.node("watching")
+    until(lambda: {"test", "watching"} <= names(watching), "the others have registered again")
+    subscriber.drain()
+    peer.signal(signal.SIGCONT)
+    assert subscriber.receive(timeout=5.0) is not None
+    assert subscriber.drops == 0
+
+
+def test_killed_left_and_silent_nodes_are_dropped(net: BifrostNetwork) -> None:
+    watching = net.node("watching")
+    killed = net.peer("publish", "lab/killed", "10")
+    silent = net.peer("serve", "lab/silent")
+    left = net.node("left")
+    left.publisher("lab/left", Sample)
+    until(lambda: names(watching) == {"watching", "publish_peer", "serve_peer", "left"}, "all are there")
+    left.close()
+    until(lambda: names(watching) == {"watching", "publish_peer", "serve_peer"}, "one has left")
+    killed.kill()
+    until(lambda: names(watching) == {"watching", "serve_peer"}, "the killed one is dropped")
+    silent.signal(signal.SIGSTOP)  # its connections stay open: only its silence tells
+    until(lambda: names(watching) == {"watching"}, "the silent one is dropped", 20.0)
+    silent.signal(signal.SIGCONT)
+    until(lambda: names(watching) == {"watching", "serve_peer"}, "the silent one is back")
+
+
+def test_the_graph_names_everything(net: BifrostNetwork) -> None:
+    peer = net.peer("publish", "lab/sample", "10")
+    net.peer("serve", "lab/ask")
+    node = net.node("test")
+    node.subscriber("lab/sample", Sample)
+    node.subscribe_any("lab/sample")
+    node.client("lab/ask", Question, Answer)
+    graph = until(lambda: (g := node.graph(10.0)) and len(g.nodes) == 3 and g, "three nodes")
+    topic, service = graph.topics["lab/sample"], graph.services["lab/ask"]
+    [publisher] = topic.publishers
+    assert (publisher.node, publisher.pid, publisher.computer) == ("publish_peer", peer.pid, "localhost")
+    assert publisher.endpoint.startswith("tcp://127.0.0.1:")
+    assert topic.types == ["Sample"]
+    assert [end.types for end in topic.subscribers] == [("Sample",), ()]
+    assert [end.node for end in service.servers] == ["serve_peer"]
+    assert [end.types for end in service.clients] == [("Question", "Answer")]
+    assert graph.schemas[publisher.hashes[0]] == bifrost.codec(Sample).schema
+
+
+def test_the_daemon_tells_how_it_fares(net: BifrostNetwork) -> None:
+    assert net.daemon is not None
+    info = bifrost.daemon_alive(net.network, timeout=5.0)
+    assert info is not None
+    assert info.pid == net.daemon.pid
+    assert info.uptime > 0.0
+    assert 1.0 < info.memory_mib < 200.0
+    net.kill_daemon()
+    assert bifrost.daemon_alive(net.network, timeout=0.2) is None
+    with pytest.raises(bifrost.TimeoutError, match="does not answer"):
+        net.node("test").graph(timeout=0.1)
+
+
+def test_the_daemon_survives_what_a_member_sends(net: BifrostNetwork) -> None:
+    node = net.node("rogue")
+    record = directory.NodeRecord("ghost", 1, 2, "localhost", 3)
+    socket = node.connecting_socket(zmq.DEALER)
+    socket.connect(net.network.computer.daemon)
+    for content in (b"", b"\xc1", b"\x00" * 1000, b"\x91" * 5000, directory.encode({"type": "register", "node": 1})):
+        socket.send(content)
+    socket.send_multipart([b"a", b"b", b"c"])
+    socket.send(directory.encode(directory.Leave(12345)))
+    socket.send(directory.encode(directory.Register(record)))
+    until(lambda: "ghost" in names(node), "the sane one among them is heard")
+    socket.close()
+    until(lambda: "ghost" not in names(node), "its end is noticed")
+
+
+def run_daemon(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "bifrost.daemon"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+
+
+def test_a_daemon_that_cannot_start_says_why_in_one_line(net: BifrostNetwork, tmp_path: Path) -> None:
+    taken = run_daemon(net.environment)
+    assert taken.returncode == 78
+    assert taken.stderr.count("\n") == 1
+    assert f"cannot listen on {net.network.computer.daemon}: Address already in use" in taken.stderr
+    missing = run_daemon(net.environment | {"BIFROST_NETWORK": str(tmp_path / "none.json")})
+    assert missing.returncode == 78
+    assert "none.json: no such network file" in missing.stderr
+    assert missing.stderr.count("\n") == 1

@@ -1,0 +1,415 @@
+"""Publish and subscribe across real processes."""
+
+# ruff: noqa: F401, F811 - fixtures are imported by name
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import zmq
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import bifrost
+from bifrost import wire
+from bifrost.directory import Entry
+from tests.integration.bifrost_network import (
+    BifrostNetwork,
+    Sample,
+    bare_network,
+    connected,
+    net,
+    sample,
+    until,
+)
+
+
+class Other(bifrost.Message):
+    """Another type for the same topic."""
+
+    count: float
+
+
+def test_messages_of_another_process_arrive_whole_and_in_order(net: BifrostNetwork) -> None:
+    net.peer("publish", "lab/sample", "200")
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
+    received = [subscriber.receive(timeout=10.0) for _ in range(100)]
+    assert all(r is not None for r in received)
+    sequences = [r.sequence for r in received if r]
+    assert sequences == list(range(sequences[0], sequences[0] + 100))
+    stamps = [r.stamp for r in received if r]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] <= time.monotonic_ns()
+    for r in received:
+        assert r is not None
+        assert r.origin == "publish_peer"
+        assert r.message == sample(r.message.count)
+        assert not r.message.values.flags.writeable
+        assert r.message.values.flags.aligned
+    assert (subscriber.drops, subscriber.rejected) == (0, 0)
+
+
+@pytest.mark.parametrize("order", ["daemon publisher subscriber", "subscriber publisher daemon",
+                                   "publisher subscriber daemon"])  # fmt: skip
+def test_any_order_of_arrival(bare_network: BifrostNetwork, order: str) -> None:
+    subscriber: bifrost.Subscriber[Sample] | None = None
+    for what in order.split():
+        if what == "daemon":
+            bare_network.start_daemon()
+        elif what == "publisher":
+            bare_network.peer("publish", "lab/sample", "100")
+        else:
+            subscriber = bare_network.node("test").subscriber("lab/sample", Sample)
+    assert subscriber is not None
+    assert subscriber.receive(timeout=10.0) is not None
+
+
+def test_latest_gives_the_newest_and_queue_gives_all(net: BifrostNetwork) -> None:
+    node, other = net.node("publisher"), net.node("subscriber")
+    publisher = node.publisher("lab/sample", Sample)
+    latest = other.subscriber("lab/sample", Sample)
+    queue = other.subscriber("lab/sample", Sample, queue=1000)
+    first = connected(publisher, latest, queue)
+    for count in range(1, 101):
+        last = publisher.publish(sample(count))
+    everything = []
+    until(lambda: everything.extend(queue.drain()) or len(everything) == 100, "a hundred messages")  # type: ignore[func-returns-value]
+    assert [r.sequence for r in everything] == list(range(first + 1, last + 1))
+    newest = until(lambda: (r := latest.latest()) and r.sequence == last and r, "the newest")
+    assert newest.message == sample(100)
+    assert latest.latest() is None
+    assert latest.receive(timeout=0.0) is None
+    assert latest.receive(timeout=0.05) is None
+    assert latest.drain() == []
+    assert (queue.drops, latest.drops) == (0, 0)
+
+
+def test_what_a_queue_cannot_hold_is_counted(net: BifrostNetwork) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=10)
+    first = connected(publisher, subscriber)
+    large = sample(1, size=4000)
+    for _ in range(6000):
+        publisher.publish(large)
+    received = 0
+
+    def drained() -> bool:
+        nonlocal received, last
+        last = publisher.publish(sample(2))
+        for r in subscriber.drain():
+            received += 1
+            if r.sequence == last:
+                return True
+        return False
+
+    last = 0
+    until(drained, "the message after the flood")
+    assert subscriber.drops > 0
+    assert received + subscriber.drops == last - first
+
+
+def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> None:
+    peer = net.peer("publish", "lab/sample", "200")
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
+    for _ in range(20):
+        assert subscriber.receive(timeout=10.0) is not None
+    peer.kill()
+    subscriber.drain()
+    net.peer("publish", "lab/sample", "200")
+    again = subscriber.receive(timeout=10.0)
+    assert again is not None
+    assert again.sequence < 100
+    assert subscriber.drops == 0
+    until(lambda: subscriber.drain() is not None and len(subscriber.publishers) == 1, "the dead one is let go")
+
+
+def test_another_type_is_refused_and_both_are_named(net: BifrostNetwork) -> None:
+    node = net.node("publisher")
+    wrong, right = node.publisher("lab/sample", Other), node.publisher("lab/other", Sample)
+    other = net.node("subscriber")
+    refusing, accepting = other.subscriber("lab/sample", Sample, queue=9), other.subscriber("lab/other", Sample)
+    connected(right, accepting)
+    wrong.publish(Other(1.0))
+    assert refusing.receive(timeout=0.2) is None
+    [error] = until(lambda: refusing.drain() == [] and refusing.mismatches, "the mismatch is known")
+    assert isinstance(error, bifrost.SchemaError)
+    for word in ("lab/sample", "publisher", "subscriber", "Other", "Sample"):
+        assert word in str(error)
+    assert "\n" not in str(error)
+
+
+def test_two_publishers_of_one_topic_and_two_threads_of_one_node(net: BifrostNetwork) -> None:
+    node = net.node("publisher")
+    publishers = [node.publisher("lab/sample", Sample) for _ in range(2)]
+    subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=10000)
+    for publisher in publishers:
+        connected(publisher, subscriber)
+
+    def publish(publisher: bifrost.Publisher[Sample], first: int) -> None:
+        for count in range(first, first + 300):
+            publisher.publish(sample(count))
+
+    threads = [threading.Thread(target=publish, args=(p, 1000 * i)) for i, p in enumerate(publishers)]
+    for thread in threads:
+        thread.start()
+    received = [subscriber.receive(timeout=5.0) for _ in range(600)]
+    for thread in threads:
+        thread.join()
+    counts = [r.message.count for r in received if r]
+    assert sorted(counts) == [*range(300), *range(1000, 1300)]
+    assert [c for c in counts if c < 1000] == list(range(300))
+    assert subscriber.drops == 0
+
+
+def test_no_wake_up_is_ever_lost(net: BifrostNetwork) -> None:
+    """Ping-pong: each side answers only when woken; a lost wake-up would end it."""
+    ping_node, pong_node = net.node("ping"), net.node("pong")
+    ping, pong = ping_node.publisher("lab/ping", Sample), pong_node.publisher("lab/pong", Sample)
+    heard_ping = pong_node.subscriber("lab/ping", Sample)
+    heard_pong = ping_node.subscriber("lab/pong", Sample)
+    connected(ping, heard_ping)
+    connected(pong, heard_pong)
+    rounds = 2000
+    failures: list[int] = []
+
+    def answer() -> None:
+        for count in range(rounds):
+            if not (bifrost.wait([heard_ping], timeout=5.0) and heard_ping.latest()):
+                failures.append(count)
+                return
+            pong.publish(sample(count, 1))
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    for count in range(rounds):
+        ping.publish(sample(count, 1))
+        received = heard_pong.receive(timeout=5.0)
+        assert received is not None and received.message.count == count, f"round {count}, {failures}"
+    thread.join()
+    assert not failures
+
+
+def test_wait_tells_who_has_something(net: BifrostNetwork) -> None:
+    node = net.node("publisher")
+    publishers = [node.publisher(f"lab/{i}", Sample) for i in range(3)]
+    other = net.node("subscriber")
+    subscribers = [other.subscriber(f"lab/{i}", Sample, queue=10) for i in range(3)]
+    for publisher, subscriber in zip(publishers, subscribers, strict=True):
+        connected(publisher, subscriber)
+    assert bifrost.wait(subscribers, timeout=0.0) == []
+    before = time.monotonic()
+    assert bifrost.wait(subscribers, timeout=0.05) == []
+    assert time.monotonic() - before >= 0.05
+    publishers[1].publish(sample(1))
+    assert bifrost.wait(subscribers, timeout=5.0) == [subscribers[1]]
+    # It keeps saying so until the message is taken, and loses none by saying so.
+    publishers[2].publish(sample(2))
+    until(lambda: bifrost.wait(subscribers, timeout=0.1) == subscribers[1:], "both")
+    assert [r.message.count for s in subscribers for r in s.drain()] == [1, 2]
+    assert bifrost.wait(subscribers, timeout=0.0) == []
+
+
+def test_the_descriptor_serves_an_event_loop(net: BifrostNetwork) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=1000)
+    connected(publisher, subscriber)
+    counts: list[int] = []
+    thread = threading.Thread(target=lambda: [publisher.publish(sample(i)) for i in range(200)])
+    with selectors.DefaultSelector() as selector:
+        selector.register(subscriber.fileno(), selectors.EVENT_READ)
+        thread.start()
+        counts += [r.message.count for r in subscriber.drain()]
+        deadline = time.monotonic() + 10.0
+        while len(counts) < 200 and time.monotonic() < deadline:
+            selector.select(timeout=5.0)
+            counts += [r.message.count for r in subscriber.drain()]
+    thread.join()
+    assert counts == list(range(200))
+
+
+def test_a_stopped_subscriber_does_not_delay_the_publisher(net: BifrostNetwork) -> None:
+    peer = net.peer("subscribe", "lab/sample", "100")
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    witness = net.node("witness").subscriber("lab/sample", Sample, queue=100_000)
+    first = connected(publisher, witness)
+    assert peer.line()["count"] == 0
+    large = sample(1, size=1000)
+
+    def median_publication() -> float:
+        times = []
+        for _ in range(1500):
+            before = time.perf_counter()
+            publisher.publish(large)
+            times.append(time.perf_counter() - before)
+            time.sleep(0.0002)
+        return float(np.median(times))
+
+    undisturbed = median_publication()
+    peer.signal(signal.SIGSTOP)
+    # More than its socket buffers and the publisher's high-water mark hold.
+    disturbed = median_publication()
+    last = publisher.publish(sample(2))
+    peer.signal(signal.SIGCONT)
+    assert disturbed < 5.0 * undisturbed + 20e-6
+    sequences = [first]
+    while sequences[-1] < last:
+        received = witness.receive(timeout=10.0)
+        assert received is not None
+        sequences.append(received.sequence)
+    assert sequences == list(range(first, last + 1))
+    assert witness.drops == 0
+
+
+def test_closing_gives_everything_back(net: BifrostNetwork) -> None:
+    def descriptors() -> int:
+        return len(os.listdir("/proc/self/fd"))
+
+    def open_and_close() -> None:
+        with bifrost.Node("short", network=net.network) as node:
+            publisher = node.publisher("lab/sample", Sample)
+            subscriber = node.subscriber("lab/sample", Sample, queue=5)
+            node.subscriber("lab/none", Sample).close()
+            node.server("lab/ask", Sample, Sample, lambda request, origin: request)
+            node.client("lab/none", Sample, Sample)
+            connected(publisher, subscriber)
+        node.close()
+
+    open_and_close()
+    threads, before = threading.active_count(), descriptors()
+    for _ in range(15):
+        open_and_close()
+    assert threading.active_count() == threads
+    assert descriptors() <= before
+    with pytest.raises(bifrost.Error, match="closed"):
+        node = net.node("late")
+        node.close()
+        node.publisher("lab/sample", Sample)
+
+
+def test_wrong_use_is_told_at_once(net: BifrostNetwork) -> None:
+    node = net.node("test")
+    publisher = node.publisher("lab/sample", Sample)
+    with pytest.raises(TypeError, match=r"lab/sample: expected Sample, got Other"):
+        publisher.publish(Other(1.0))  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"Sample\.values: expected a one-dimensional float64 array, got list"):
+        publisher.publish(Sample(1, "", [1.0], np.zeros(1, np.uint8)))  # type: ignore[arg-type]
+    for name in ("", "/lab", "lab//x", "lab x", "lab\0x", "l" * 256):
+        with pytest.raises(ValueError, match="topic name"):
+            node.subscriber(name, Sample)
+    with pytest.raises(ValueError, match="at least 1"):
+        node.subscriber("lab/sample", Sample, queue=0)
+    assert publisher.publish(sample(1)) == 1  # nothing was sent above
+    publisher.close()
+    with pytest.raises(bifrost.Error, match="closed"):
+        publisher.publish(sample(1))
+
+
+class Rogue:
+    """A member of the network that publishes bytes of its own making under the right topic and type."""
+
+    def __init__(self, network: BifrostNetwork) -> None:
+        self.node = network.node("rogue")
+        self.socket = self.node.listening_socket(zmq.PUB)
+        self.socket.bind("tcp://127.0.0.1:*")
+        codec = bifrost.codec(Sample)
+        endpoint = self.socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        self.key = self.node.discovery.announce(
+            Entry("publisher", "lab/sample", ("Sample",), (codec.hash.hex(),), endpoint), [codec.schema]
+        )
+
+
+@pytest.fixture
+def rogue(net: BifrostNetwork) -> Iterator[Rogue]:
+    made = Rogue(net)
+    yield made
+    made.socket.close()
+
+
+def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwork, rogue: Rogue) -> None:
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
+    codec = bifrost.codec(Sample)
+    header = wire.PUBLICATION.pack(wire.VERSION, codec.hash, 7, 1, 2, 5) + b"rogue"
+    payload = codec.encode(sample(5))
+    intact = b"lab/sample\0" + header + payload
+    good = b"lab/sample\0" + header + codec.encode(sample(3))
+
+    def sent_and_received(frame: bytes) -> list[bifrost.Received[Sample]]:
+        """What the subscriber makes of a frame, and of a good one behind it."""
+        rogue.socket.send(frame)
+        rogue.socket.send(good)
+        received = []
+        while not received or received[-1].message != sample(3):
+            one = subscriber.receive(timeout=5.0)
+            assert one is not None, "the good one never came"
+            received.append(one)
+        return received[:-1]
+
+    def arrived() -> bool:
+        rogue.socket.send(good)
+        return subscriber.receive(timeout=0.05) is not None
+
+    until(arrived, "the subscriber hears the rogue")
+    rogue.socket.send(b"lab/sample\0" + header + codec.encode(sample(4)))
+    while (one := subscriber.receive(timeout=5.0)) and one.message != sample(4):
+        pass
+
+    @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(data=st.data())
+    def attack(data: st.DataObject) -> None:
+        kind = data.draw(st.sampled_from(["noise", "cut", "flip", "payload", "header"]))
+        if kind == "noise":
+            frame = b"lab/sample\0" + data.draw(st.binary(min_size=1, max_size=200))
+        elif kind == "cut":
+            frame = intact[: data.draw(st.integers(len(b"lab/sample\0") + 1, len(intact) - 1))]
+        elif kind == "flip":
+            position = data.draw(st.integers(len(b"lab/sample\0"), len(intact) - 1))
+            frame = (
+                intact[:position] + bytes([intact[position] ^ data.draw(st.integers(1, 255))]) + intact[position + 1 :]
+            )
+        elif kind == "payload":
+            frame = b"lab/sample\0" + header + data.draw(st.binary(max_size=300))
+        else:
+            frame = b"lab/sample\0" + data.draw(st.binary(min_size=34, max_size=34)) + b"rogue" + payload
+        refused = subscriber.rejected
+        others = sent_and_received(frame)
+        assert len(others) + subscriber.rejected - refused == 1
+        for one in others:  # a flipped bit may make another valid message: it is one of the type all the same
+            assert isinstance(one.message, Sample)
+            assert codec.decode(codec.encode(one.message)) == one.message
+
+    attack()
+    assert subscriber.rejected > 0
+
+
+def test_an_array_cut_short_is_refused(net: BifrostNetwork, rogue: Rogue) -> None:
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=10)
+    codec = bifrost.codec(Sample)
+    header = b"lab/sample\0" + wire.PUBLICATION.pack(wire.VERSION, codec.hash, 7, 1, 2, 0)
+
+    def refused() -> bool:
+        rogue.socket.send(header + bytes([0x94, 1, 0xA0, 0xC4, 7]) + bytes(7) + bytes([0xC4, 0]))
+        assert subscriber.receive(timeout=0.05) is None
+        return subscriber.rejected > 2
+
+    until(refused, "an array of seven bytes is refused")
+    rogue.socket.send(header + bytes([0x94, 1, 0xA0, 0xC4, 8]) + bytes(8) + bytes([0xC4, 0]))
+    received = subscriber.receive(timeout=5.0)
+    assert received is not None and received.message.values.tolist() == [0.0]
+    assert received.origin == ""
+
+
+def test_any_type_is_decoded_by_its_registered_schema(net: BifrostNetwork) -> None:
+    net.peer("publish", "lab/sample", "100")
+    received = net.node("test").subscribe_any("lab/sample", queue=10).receive(timeout=10.0)
+    assert received is not None
+    message = received.message
+    assert not isinstance(message, Sample)
+    assert type(message).__name__ == "Sample"
+    assert bifrost.to_builtins(message) == bifrost.to_builtins(sample(getattr(message, "count")))  # noqa: B009
