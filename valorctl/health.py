@@ -85,7 +85,7 @@ def _state(info: ProcessInfo, word: Word | None, now: float) -> tuple[State, str
     if word is None:
         if info.uptime <= START_GRACE:
             return "starting", "no word from it yet"
-        return "failed", f"runs, but no word from it for {SILENCE:g} s"
+        return "failed", f"runs, but no word from it in {info.uptime:.0f} s"
     if (silent := now - word.heard) > SILENCE:
         return "failed", f"runs, but silent for {silent:.1f} s"
     if word.state == "ready":

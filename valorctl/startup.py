@@ -17,7 +17,8 @@ from valorctl.health import Health, Listener, judge
 from valorctl.interruption import Interruption
 from valorctl.supervision import ProcessInfo, ProcessState, Supervisor
 
-READY_TIMEOUT = 60.0  # for each wave of processes [s]
+# For each wave of processes [s]. One that ends is noticed at once; this is for those that hang on a busy computer.
+READY_TIMEOUT = 120.0
 _TAIL_LINES = 12
 
 
