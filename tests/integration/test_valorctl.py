@@ -293,6 +293,7 @@ def test_a_failed_up_says_why_and_leaves_nothing(ctl: Cli, robot: Callable[[Cli]
     ctl.assert_nothing_left()
 
 
+@pytest.mark.timeout(400)
 def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     told = ctl("up", "--bag", str(ctl.home / "whole.mcap"))
     assert "control mode stand" in told
