@@ -132,7 +132,11 @@ class Client(Generic[M, R]):
         self._disconnect()
         socket = self._node.connecting_socket(zmq.DEALER)
         socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a server that is not there
-        socket.connect(endpoint)
+        try:
+            socket.connect(endpoint)
+        except zmq.ZMQError as error:  # a member has registered what is no address
+            socket.close()
+            raise NoServerError(f"{self.topic}: cannot connect to {endpoint!r}: {error.strerror}") from None
         self._socket, self._endpoint = socket, endpoint
         return socket
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections import deque
@@ -269,7 +270,7 @@ class Subscriber(Generic[M]):
     def _mismatch(self, node: str, types: tuple[str, ...], hashes: tuple[str, ...]) -> SchemaError:
         assert self._codec is not None
         return SchemaError(
-            f"{self.topic}: {node} publishes {types[0]} ({hashes[0]}), "
+            f"{self.topic}: {node} publishes {', '.join(types)} ({', '.join(hashes)}), "
             f"{self._node.name} expects {self._codec.name} ({self._codec.hash.hex()})"
         )
 
@@ -284,9 +285,13 @@ class Subscriber(Generic[M]):
                 self._warned.add(endpoint)
                 _log.warning("%s", self._mismatch(peer.node, peer.entry.types, peer.entry.hashes))
         for endpoint in wanted - self._connected:
-            self.socket.connect(endpoint)
+            try:
+                self.socket.connect(endpoint)
+            except zmq.ZMQError as error:  # a member has registered what is no address: not our end
+                _log.warning("%s: cannot connect to %r: %s", self.topic, endpoint, error.strerror)
         for endpoint in self._connected - wanted:
-            self.socket.disconnect(endpoint)
+            with contextlib.suppress(zmq.ZMQError):
+                self.socket.disconnect(endpoint)
         self._connected = wanted
 
 

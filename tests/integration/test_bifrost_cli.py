@@ -1,0 +1,169 @@
+"""The command line's verbs, against real peers."""
+
+# ruff: noqa: F401, F811 - fixtures are imported by name
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import bifrost
+from bifrost.cli import app
+from tests.integration.bifrost_network import (
+    Answer,
+    BifrostNetwork,
+    Question,
+    Sample,
+    bare_network,
+    net,
+    sample,
+    until,
+)
+
+
+@pytest.fixture(autouse=True)
+def joined(bare_network: BifrostNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verbs run in this process, in the network."""
+    monkeypatch.setenv("BIFROST_NETWORK", str(bare_network.file))
+    monkeypatch.setenv("BIFROST_KEYS", str(bare_network.keys))
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def run_json(*arguments: str) -> Any:
+    return json.loads(run(*arguments, "--json"))
+
+
+def registered(net: BifrostNetwork, *names: str) -> None:
+    node = net.node("watching")
+    until(lambda: set(names) <= set(node.graph(10.0).nodes), "all have registered")
+    node.close()
+
+
+def test_topics(net: BifrostNetwork) -> None:
+    peer = net.peer("publish", "lab/sample", "200")
+    net.node("listener").subscriber("lab/sample", Sample)
+    registered(net, "publish_peer", "listener")
+    listed = until(lambda: [t for t in run_json("topic", "list") if t["subscribers"]], "the subscriber is listed")
+    [topic] = listed
+    assert (topic["name"], topic["types"]) == ("lab/sample", ["Sample"])
+    assert [(end["node"], end["pid"]) for end in topic["publishers"]] == [("publish_peer", peer.pid)]
+    assert [end["node"] for end in topic["subscribers"]] == ["listener"]
+    assert run("topic", "list").splitlines()[1].split() == ["lab/sample", "Sample", "publish_peer", "1"]
+
+    info = run("topic", "info", "lab/sample")
+    assert "  values: float64[]\n" in info
+    assert f"publisher publish_peer (pid {peer.pid} on localhost) at tcp://127.0.0.1:" in info
+    assert run_json("topic", "info", "lab/sample") == topic
+
+    echoed = run_json("topic", "echo", "lab/sample", "--once")
+    assert (echoed["type"], echoed["origin"]) == ("Sample", "publish_peer")
+    assert echoed["message"] == bifrost.to_builtins(sample(echoed["message"]["count"]))
+    text = run("topic", "echo", "lab/sample", "--once")
+    assert text.startswith("--- Sample ") and "\nvalues: [" in text
+
+    rate = run_json("topic", "hz", "lab/sample", "--for", "0.5")
+    assert rate["messages"] > 2 and rate["rate"] == pytest.approx(1.0 / rate["period_mean"])
+    assert "Hz; period mean" in run("topic", "hz", "lab/sample", "--for", "0.2")
+    width = run_json("topic", "bw", "lab/sample", "--for", "0.5")
+    frame = len("lab/sample") + 1 + 34 + len("publish_peer") + len(bifrost.codec(Sample).encode(sample(1000)))
+    assert width["bytes_mean"] == pytest.approx(frame, abs=4)  # digits of the count
+    assert "a message" in run("topic", "bw", "lab/sample", "--for", "0.2")
+
+
+def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    message = Sample(1, "", np.array([np.nan, np.inf, 1.0]), np.zeros(0, np.uint8))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bifrost.cli", "topic", "echo", "lab/sample", "--json", "--timeout", "20"],
+        env=net.environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    os.set_blocking(process.stdout.fileno(), False)
+    lines: list[str] = []
+
+    def echoed() -> bool:
+        publisher.publish(message)
+        assert process.stdout is not None
+        lines.extend(process.stdout.readlines())
+        return len(lines) >= 3
+
+    until(echoed, "three messages are echoed", 30.0)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(10) == 0  # interrupting is how it ends
+    process.stdout.close()
+    assert json.loads(lines[0], parse_constant=pytest.fail)["message"]["values"] == [None, None, 1.0]
+
+
+def test_services(net: BifrostNetwork) -> None:
+    net.peer("serve", "lab/ask")
+    client = net.node("asker").client("lab/ask", Question, Answer)
+    assert client.wait_for_server(10.0)
+    registered(net, "serve_peer", "asker")
+    [service] = run_json("service", "list")
+    assert service["name"] == "lab/ask"
+    assert [end["types"] for end in service["servers"]] == [["Question", "Answer"]]
+    assert run("service", "list").splitlines()[1].split()[:4] == ["lab/ask", "Question", "->", "Answer"]
+
+    reply = run_json("service", "call", "lab/ask", '{"action": "open", "argument": 1}')
+    assert reply == {"text": f"open for cli_{os.getpid()}", "handled": 1}
+    assert "handled: 2" in run("service", "call", "lab/ask", '{"action": "open", "argument": 1.5}')
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("topic", "echo", "lab/none", "--timeout", "0.2"), "topic lab/none: no publisher within 0.2 s"),
+        (("topic", "hz", "lab/quiet", "--timeout", "0.5"), "topic lab/quiet: quiet published nothing within 0.5 s"),
+        (("topic", "info", "lab/none"), "topic lab/none: nobody publishes or subscribes to it"),
+        (("service", "call", "lab/none", "--timeout", "0.2"), "service lab/none: no server within 0.2 s"),
+        (("service", "call", "lab/ask", '{"action": 1}'), "Question.argument is missing"),
+        (("service", "call", "lab/ask", '{"action": "raise", "argument": 0}'), "lab/ask: ValueError: no such valve"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(net: BifrostNetwork, arguments: tuple[str, ...], message: str) -> None:
+    net.node("quiet").publisher("lab/quiet", Sample)
+    if "lab/ask" in arguments:
+        net.peer("serve", "lab/ask")
+    with pytest.raises(bifrost.Error) as caught:
+        run(*arguments)
+    assert str(caught.value) == message
+
+
+def test_exit_status_and_stderr(net: BifrostNetwork) -> None:
+    def verb(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "bifrost.cli", *arguments],
+            env=net.environment | environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+
+    missing = verb("topic", "list", BIFROST_KEYS="/nowhere")
+    assert (missing.returncode, missing.stdout) == (1, "")
+    assert missing.stderr == "bifrost: /nowhere: no such folder of Bifrost keys\n"
+    assert verb("topic", "shout").returncode == 2
+    assert verb("service", "call", "lab/ask", "{").returncode == 2
+
+
+def test_without_a_daemon(bare_network: BifrostNetwork) -> None:
+    with pytest.raises(bifrost.TimeoutError, match=r"bifrostd at tcp://.* does not answer"):
+        run("topic", "list")
+    with pytest.raises(bifrost.TimeoutError, match=r"bifrostd at tcp://.* does not answer"):
+        run("topic", "echo", "lab/sample", "--timeout", "0.1")
