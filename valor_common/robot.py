@@ -171,6 +171,7 @@ class WholeBody(Table):
     orientation_damping: Positive = 22.0
     foot_weight: Positive = 200.0
     foot_damping: Positive = 10.0
+    stance_stiffness: NonNegative = 100.0  # of the feet to each other, against creep [1/s²]
     arm_posture_weight: Positive = 2.0
     waist_posture_weight: Positive = 0.1
     leg_posture_weight: Positive = 0.02

@@ -20,6 +20,7 @@ from motion_manager.whole_body.elimination import UnsolvableError
 from motion_manager.whole_body.limits import JointLimits
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from motion_manager.whole_body.reference import StandReference
+from motion_manager.whole_body.stance import Stance
 from motion_manager.whole_body.state import (
     FloatArray,
     QpStatus,
@@ -77,6 +78,7 @@ class WholeBodyController:
             np.concatenate((-self._limits.effort, np.zeros(joints.count))),
             np.concatenate((self._limits.effort, np.zeros(joints.count))),
         )
+        self._stance = Stance(table.stance_stiffness)
         self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
         self._legs = joints.group("left_leg", "right_leg")
         self._nominal: FloatArray = robot.nominal_posture[joints.places]
@@ -100,6 +102,7 @@ class WholeBodyController:
         position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self._law.reset()
+        self._stance.reset(state)
         self._reference.reset(state)
         self._leg_start = position[self._legs]
         self._position[:] = np.clip(position, self._lower, self._upper)
@@ -145,6 +148,7 @@ class WholeBodyController:
         stiffness = self._table.orientation_stiffness
         wanted[CHEST] += stiffness * rotation.error(reference.chest, dynamics.chest_rotation)
         wanted[PELVIS] += stiffness * rotation.error(reference.pelvis, dynamics.rotation)
+        self._stance.hold(state, wanted[SOLES])
 
     def _posture_tasks(
         self, position: FloatArray, velocity: FloatArray, wanted: FloatArray, reference: UpperBodyReference
