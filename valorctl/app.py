@@ -47,7 +47,8 @@ class _Verbs(TyperGroup):
         if cmd_name in _MOUNTED:
             from valorctl.verbs.bifrost_verbs import command
 
-            return command(cmd_name)
+            # Asked for before the shared option's own callback runs.
+            return command(cmd_name, ctx.params.get("instance"))
         return super().get_command(ctx, cmd_name)
 
 

@@ -67,6 +67,18 @@ def test_the_instance_is_the_one_named(arguments: list[str], monkeypatch: pytest
     assert "export ROS_DOMAIN_ID=7\n" in result.output
 
 
+@pytest.mark.parametrize("arguments", [["--instance", "x", "topic", "list"], ["topic", "list", "--instance", "x"]])
+def test_bifrost_verbs_go_to_the_instance_named(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("VALOR_HOME", str(tmp_path))
+    for name in ("VALOR_INSTANCE", "BIFROST_NETWORK", "BIFROST_KEYS"):
+        monkeypatch.setenv(name, "other")
+    monkeypatch.setattr("sys.argv", ["valorctl", *arguments])
+    assert main() == 1
+    assert str(tmp_path / "x" / "network.json") in capsys.readouterr().err
+
+
 @given(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3))
 def test_every_number_can_be_an_argument(impulse: tuple[float, float, float]) -> None:
     params = parsed("push", *map(repr, impulse))

@@ -13,8 +13,8 @@ from valor_common.instance import Instance
 _GROUPS = {"topic": cli.topic, "service": cli.service}
 
 
-def command(name: str) -> Any:
-    """The group of verbs, set upon the instance's network."""
-    instance = Instance.from_environment()
+def command(name: str, instance_name: str | None) -> Any:
+    """The group of verbs, set upon the network of the instance named (else of the environment's)."""
+    instance = Instance.from_environment(instance_name)
     os.environ |= {"BIFROST_NETWORK": str(instance.network_file), "BIFROST_KEYS": str(instance.keys)}
     return typer.main.get_group(_GROUPS[name])
