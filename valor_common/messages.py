@@ -132,6 +132,15 @@ class JointSetpoints(Message):
     acceleration: Float64Array  # [rad/s²]
 
 
+class VelocityCommand(Message):
+    """Walk so: the velocity of the robot's middle, in the axes of its heading. Without another in time, it stops."""
+
+    time: int  # of the Proprioceptor that it was made for
+    linear_x: float  # forward [m/s]
+    linear_y: float  # left [m/s]
+    angular_z: float  # anticlockwise [rad/s]
+
+
 class BehaviorRequest(Message):
     """Go to a behavior, named as in ``motion_manager/behaviors.py`` (``stand``, ``stand_manipulate``, …)."""
 

@@ -188,6 +188,33 @@ class WholeBody(Table):
     limit_response: Positive = 50.0  # deceleration per velocity above what is allowed [1/s]
 
 
+class Walking(Table):
+    """How the robot steps: what a plan leaves to the robot, and how it walks by velocity."""
+
+    swing_duration: Positive = 0.6  # [s]
+    transfer_duration: Positive = 0.2  # of weight, from foot to foot [s]
+    first_transfer_duration: Positive = 1.0  # from rest [s]
+    last_transfer_duration: Positive = 1.0  # to rest [s]
+    swing_height: Positive = 0.06  # of the apex above the higher of lift-off and touch-down [m]
+    touchdown_depth: NonNegative = 0.003  # below the ground, that the swinging foot is led to [m]
+    touchdown_force: Positive = 30.0  # vertical, at which a swinging foot has touched down [N]
+    earliest_touchdown: Positive = 0.6  # of the swing's duration
+    late_descent: Positive = 0.05  # of a foot that finds no ground in time [m/s]
+    latest_touchdown: Positive = 0.3  # after the swing's end, whatever the foot feels [s]
+    loading_duration: Positive = 0.05  # in which a foot gets and gives the right to push [s]
+    foot_weight: Positive = 20.0  # of the swinging foot's task
+    foot_stiffness: Positive = 300.0  # [1/s²]
+    foot_damping: Positive = 34.0  # [1/s]
+    step_width: Positive = 0.2  # between the soles' origins, walking by velocity [m]
+    max_forward_speed: Positive = 0.5  # [m/s]
+    max_backward_speed: Positive = 0.25  # [m/s]
+    max_lateral_speed: Positive = 0.1  # [m/s]
+    max_turn_rate: Positive = 0.4  # [rad/s]
+    speed_change: Positive = 0.12  # from one step to the next, at most [m/s]
+    turn_change: Positive = 0.2  # [rad/s]
+    command_timeout: Positive = 0.5  # without a velocity for so long, the robot stops [s]
+
+
 class Estimator(Table):
     """How far the floating-base estimator trusts what it is told."""
 
@@ -199,6 +226,7 @@ class Estimator(Table):
     leg_position_deviation: Positive = 0.002  # of leg odometry, per sample [m]
     leg_velocity_deviation: Positive = 0.02  # [m/s]
     anchor_time_constant: Positive = 5.0  # in which a slipped foot's old place is forgotten [s]
+    settling_time: NonNegative = 0.1  # that a foot takes to lie flat once it touches the ground [s]
     hang_time_constant: Positive = 0.3  # in which velocity fades without contact [s]
     contact_on: Positive = 0.08  # of the robot's weight: a foot in contact from here
     contact_off: Positive = 0.04  # until here
@@ -226,6 +254,7 @@ class RobotTables(Table):
     fall: FallDetection
     footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
     whole_body: WholeBody = WholeBody()
+    walking: Walking = Walking()
     estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 

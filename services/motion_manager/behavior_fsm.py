@@ -55,6 +55,7 @@ class Conditions:
     not_prepared: str = ""  # Stand Prep has not finished
     not_loaded: str = ""  # the feet do not both carry weight
     not_upright: str = ""  # the pelvis is tilted
+    stepping: str = ""  # a step has not come to rest yet
 
 
 GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ...]] = {
@@ -63,6 +64,10 @@ GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ..
         lambda conditions: conditions.not_upright,
         lambda conditions: conditions.not_loaded,
     ),
+    (Behavior.STAND, Behavior.STAND_PREP): (lambda conditions: conditions.stepping,),
+    (Behavior.STAND, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
+    (Behavior.STAND_MANIPULATE, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
+    (Behavior.SOFT_STOP, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
 }
 """What must hold for an edge to be taken on request: each gives the reason against it, or an empty text."""
 

@@ -135,8 +135,6 @@ BALANCING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK, _L.SOF
 """Where the Whole-Body Controller has the legs."""
 
 UNAVAILABLE: Mapping[Locomotion, str] = {
-    _L.STEP: "stepping is not available: the Whole-Body Controller plans no footsteps yet",
-    _L.WALK: "walking is not available: the Whole-Body Controller plans no footsteps yet",
     _L.GET_UP: "getting up is not available: there is no get-up routine",
 }
 """What this build cannot execute, and what it lacks. Delete a line when the capability lands."""

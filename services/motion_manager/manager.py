@@ -7,6 +7,7 @@ leaves for every Proprioceptor.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from math import acos, degrees
 
 import numpy as np
@@ -17,6 +18,7 @@ from motion_manager.command import MotorCommand
 from motion_manager.handlers.behavior import BehaviorHandler
 from motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from motion_manager.handlers.velocity import VelocityHandler
 from motion_manager.joint_reference import JointReference
 from motion_manager.posture_control import PostureControl
 from motion_manager.rejections import Rejections
@@ -31,6 +33,11 @@ from motion_manager.whole_body import (
     WholeBodyCommand,
     WholeBodyController,
 )
+from motion_manager.whole_body.walking.footsteps import StepSource
+from motion_manager.whole_body.walking.gait import sole_poses
+from motion_manager.whole_body.walking.step_queue import StepQueue
+from motion_manager.whole_body.walking.swing import SolePose
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor_common.messages import MotionState, Motor, Proprioceptor
 from valor_common.model import Model
 from valor_common.robot import FloatVector, RobotDescription
@@ -55,6 +62,7 @@ class MotionManager:
         behavior_handler: answers requests for a behavior.
         setpoints_handler: follows or refuses joint set-points.
         footstep_handler: answers footstep plans.
+        velocity_handler: follows or refuses walking velocities.
         in_control: whether a believable Proprioceptor has been answered.
         silent: set by the loop: why no Proprioceptor comes, or an empty text.
     """
@@ -79,7 +87,14 @@ class MotionManager:
         self._upper_body = UpperBody(robot, self._reference)
         self.behavior_handler = BehaviorHandler(self.fsm, self.rejections, self.conditions, self.out_of_control)
         self.setpoints_handler = JointSetpointsHandler(robot, self.fsm, self._upper_body, self.rejections)
-        self.footstep_handler = FootstepPlanHandler(self.fsm, self.rejections)
+        self._velocity_steps = VelocitySteps(robot.tables.walking)
+        self._step_queue = StepQueue()
+        self._step_sources: dict[Locomotion, StepSource] = {
+            Locomotion.STEP: self._step_queue,
+            Locomotion.WALK: self._velocity_steps,
+        }
+        self.footstep_handler = FootstepPlanHandler(robot, self.fsm, self._step_queue, self.rejections, self._soles)
+        self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
         self._state: RobotState | None = None
         self._whole_body: WholeBodyCommand | None = None  # of this period
@@ -135,7 +150,8 @@ class MotionManager:
         not_prepared = "stand_prep has just begun"
         if self._locomotion is Locomotion.STAND_PREP:
             not_prepared = self._posture.not_arrived(self._time * 1e-9, state.joint_velocity)
-        return Conditions(not_prepared, self._not_loaded(state), self._not_upright(state) or self._falling)
+        stepping = "the robot has not come to rest from stepping yet" if self._controller.stepping else ""
+        return Conditions(not_prepared, self._not_loaded(state), self._not_upright(state) or self._falling, stepping)
 
     def out_of_control(self) -> str:
         """Why there is no robot to change the behavior of; an empty text: there is one."""
@@ -189,7 +205,7 @@ class MotionManager:
         """Fall, when balance is lost."""
         self._falling = ""
         if self.fsm.locomotion in BALANCING or self.fsm.locomotion is Locomotion.STAND_PREP:
-            self._falling = self._detector.update(state) or ""
+            self._falling = self._detector.update(state, self._controller.footholds(state)) or ""
             if self._falling and self.fsm.locomotion in BALANCING:
                 self._fall(self._falling)
 
@@ -202,6 +218,8 @@ class MotionManager:
         """The Locomotion FSM has another state than in the last period: hand the joints over."""
         before, locomotion = self._locomotion, self.fsm.locomotion
         self._locomotion = locomotion
+        if before in self._step_sources:
+            self._end_stepping(locomotion)
         if locomotion in BALANCING:
             if before not in BALANCING:
                 self._detector.reset()
@@ -209,6 +227,7 @@ class MotionManager:
                 self._qp_failures = 0
                 self._blend_began = now
             return
+        self._controller.leave()
         if locomotion in (Locomotion.FALL, Locomotion.GET_UP):
             return
         if before is None:
@@ -231,7 +250,30 @@ class MotionManager:
         else:
             self._posture.drive(now)
 
+    def _end_stepping(self, locomotion: Locomotion) -> None:
+        """Step or Walk is left: what has begun comes to rest, if somebody balances."""
+        self._velocity_steps.stop()
+        if locomotion in BALANCING:
+            self._step_queue.stop(f"{self.fsm.behavior}: {self.fsm.reason}")
+        else:
+            self._step_queue.fail(self.fsm.reason)
+
+    def _choose_steps(self, now: float) -> None:
+        """Where steps come from, once those of another behavior have come to rest; a plan that is done: Stand."""
+        self._velocity_steps.advance(now)
+        if self._controller.stepping:
+            return
+        self._controller.step_source = self._step_sources.get(self.fsm.locomotion)
+        if self._step_queue.take_finished() and self.fsm.locomotion is Locomotion.STEP:
+            self.fsm.go(Behavior.STAND, self._step_queue.reason or "the footstep plan is done")
+
+    def _soles(self) -> Sequence[SolePose]:
+        """Left and right, as they are."""
+        assert self._state is not None
+        return sole_poses(self._state)
+
     def _balance(self, state: RobotState, now: float, dt: float) -> None:
+        self._choose_steps(now)
         reference = self._reference
         command = self._whole_body = self._controller.update(
             state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt

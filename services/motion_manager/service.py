@@ -19,6 +19,7 @@ from valor_common.messages import (
     Proprioceptor,
     Rejection,
     StepStatus,
+    VelocityCommand,
 )
 from valor_common.model import controller_model
 from valor_common.service import Context, quiet_collector
@@ -31,9 +32,11 @@ from valor_common.topics import (
     PROPRIOCEPTOR,
     REJECTION,
     STEP_STATUS,
+    VELOCITY,
 )
 
 SETPOINT_QUEUE = 16  # more than that in one control period are dropped and counted
+VELOCITY_QUEUE = 4  # likewise
 STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
 NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
@@ -55,6 +58,7 @@ class MotionManagerService:
         self._rejection = node.publisher(REJECTION.name, Rejection)
         self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
         self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE)
+        self._velocity = node.subscriber(VELOCITY.name, VelocityCommand, queue=VELOCITY_QUEUE)
         self._behavior = node.server(
             BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle
         )
@@ -65,6 +69,7 @@ class MotionManagerService:
         self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
         self._changes = self._manager.fsm.changes
         self._step_status_due = 0
+        self._step_changes = 0
 
     def run(self) -> None:
         """Answer every Proprioceptor until told to stop."""
@@ -104,6 +109,8 @@ class MotionManagerService:
         manager = self._manager
         for received in self._setpoints.drain():
             manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
+        for command in self._velocity.drain():
+            manager.velocity_handler.handle(command, manager.time)
         self._motor.publish(manager.tick(proprioceptor))
         self._motion_state.publish(manager.report(time.perf_counter() - began))
         if manager.in_control and manager.silent:
@@ -117,7 +124,9 @@ class MotionManagerService:
         self._footstep_plan.serve()
         for rejection in manager.rejections.take():
             self._rejection.publish(rejection)
-        if manager.time >= self._step_status_due or manager.time < self._step_status_due - 1e9:
+        changed = manager.footstep_handler.changes != self._step_changes
+        if changed or manager.time >= self._step_status_due or manager.time < self._step_status_due - 1e9:
+            self._step_changes = manager.footstep_handler.changes
             self._step_status_due = manager.time + round(STEP_STATUS_PERIOD * 1e9)
             self._step_status.publish(manager.footstep_handler.status(manager.time))
         if manager.fsm.changes != self._changes:
@@ -126,8 +135,9 @@ class MotionManagerService:
         self._statistics.rejected = (
             manager.rejections.total
             + self._setpoints.rejected
+            + self._velocity.rejected
             + self._proprioceptor.rejected
             + self._behavior.rejected
             + self._footstep_plan.rejected
         )
-        self._statistics.drops = manager.missed + self._setpoints.drops
+        self._statistics.drops = manager.missed + self._setpoints.drops + self._velocity.drops

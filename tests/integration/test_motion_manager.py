@@ -227,11 +227,10 @@ def test_stand_prep_answers_why_stand_is_refused(instance: RunningInstance) -> N
 
 def test_what_this_build_cannot_do_is_refused_by_name(instance: RunningInstance) -> None:
     system = MotionSystem(instance)
-    for behavior in ("step", "walk", "step_manipulate", "walk_manipulate", "get_up"):
-        reply = system.request(behavior)
-        assert not reply.accepted
-        assert "is not available: " in reply.reason
-        assert reply.behavior == Behavior.STAND_PREP
+    reply = system.request("get_up")
+    assert not reply.accepted
+    assert "is not available: " in reply.reason
+    assert reply.behavior == Behavior.STAND_PREP
 
 
 def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(instance: RunningInstance) -> None:
@@ -251,7 +250,7 @@ def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(instanc
         FootstepPlanRequest(steps=[Footstep(1, 0, np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, 0.0, 0.0)]), timeout=10.0
     )
     assert not reply.accepted
-    assert "step_manipulate; the behavior is stand, and stepping is not available" in reply.reason
+    assert "step_manipulate; the behavior is stand" in reply.reason
     after = system.pass_time(0.5)
     assert after.behavior == Behavior.STAND
     arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")))

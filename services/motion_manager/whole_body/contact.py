@@ -15,6 +15,7 @@ from valor_common.robot import Foot, RobotDescription
 POINTS = 4
 EDGES = 4
 GENERATORS = POINTS * EDGES  # a foot
+UNBOUNDED = 1e30  # to the solver
 
 
 def contact_points(foot: Foot, inset: float) -> FloatArray:
@@ -52,6 +53,16 @@ class FootContacts:
         self._in_sole = generators.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3).copy()  # foot, force|torque
         self._in_odom = np.zeros((2, GENERATORS, 6))
         self._parts = self._in_odom.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3)
+
+    def upper(self, load: FloatArray, weight: float) -> FloatArray:
+        """(32,) upper bounds of the generators [N].
+
+        Args:
+            load: (2,) how much each foot may push: 0 not at all, 1 as it likes.
+            weight: of the robot [N].
+        """
+        limit = np.where(load < 1.0, load * (weight / POINTS), UNBOUNDED)
+        return np.repeat(limit, GENERATORS)
 
     def update(self, sole_jacobian: FloatArray, sole_rotation: FloatArray) -> None:
         """Turn the generators with the soles.

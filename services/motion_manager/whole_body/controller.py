@@ -15,7 +15,7 @@ from motion_manager.whole_body import rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.contact import FootContacts
 from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints
+from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
 from motion_manager.whole_body.elimination import UnsolvableError
 from motion_manager.whole_body.limits import JointLimits
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
@@ -29,6 +29,8 @@ from motion_manager.whole_body.state import (
     WholeBodyCommand,
 )
 from motion_manager.whole_body.tasks import Objective
+from motion_manager.whole_body.walking.footsteps import StepSource
+from motion_manager.whole_body.walking.gait import Gait
 from valor_common.model import Model
 from valor_common.robot import RobotDescription
 
@@ -38,9 +40,10 @@ CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up f
 
 
 class WholeBodyController:
-    """Standing on both feet, with set-points for waist and arms.
+    """Standing and stepping, with set-points for waist and arms.
 
     Attributes:
+        step_source: where steps come from; None: the robot stands. A gait ends with the source it began with.
         integral: (3,) of the DCM law [m]: what the model has wrong.
         qp_failures: periods without a solution since the controller was made.
     """
@@ -65,6 +68,10 @@ class WholeBodyController:
         )
         self._reference = StandReference(model, omega, self._upper_body)
         self._objective = Objective(table, joints)
+        self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
+        self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * -float(model.mj.opt.gravity[2])
+        self._walking = robot.tables.walking
+        self.step_source: StepSource | None = None
         self._damping = np.zeros(ROWS)  # of the operational velocities
         self._damping[MOMENTUM] = -table.angular_momentum_gain
         self._damping[CHEST] = self._damping[PELVIS] = -table.orientation_damping
@@ -93,6 +100,20 @@ class WholeBodyController:
         self.qp_failures = 0
 
     @property
+    def stepping(self) -> bool:
+        """Whether the robot is not at rest on both feet, but between steps."""
+        return self._gait.active
+
+    def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
+        """(2, 3) and (2, 3, 3) of the soles where they stand or will come down; None: they stand."""
+        foot, foothold = self._gait.swinging, self._gait.foothold
+        if foot is None or foothold is None:
+            return None
+        positions, rotations = state.sole_positions_in_odom.copy(), state.sole_rotations_in_odom.copy()
+        positions[foot], rotations[foot] = foothold.position, foothold.rotation
+        return positions, rotations
+
+    @property
     def integral(self) -> FloatArray:
         """(3,) of the DCM law [m]."""
         return self._law.integral
@@ -103,12 +124,18 @@ class WholeBodyController:
         self._upper_body.update(position)
         self._law.reset()
         self._stance.reset(state)
+        self._gait.stop()
         self._reference.reset(state)
         self._leg_start = position[self._legs]
         self._position[:] = np.clip(position, self._lower, self._upper)
         self._velocity[:] = 0.0
         self._effort = np.clip(state.joint_effort, -self._effort_limit, self._effort_limit)
         self._forces = state.foot_forces.copy()
+
+    def leave(self) -> None:
+        """Somebody else has the legs: what had begun is forgotten."""
+        self._gait.stop()
+        self.step_source = None
 
     def update(self, state: RobotState, reference: UpperBodyReference, dt: float) -> WholeBodyCommand:
         """One control period.
@@ -124,7 +151,8 @@ class WholeBodyController:
         np.copyto(velocity, self._velocity, where=self._integrated)
         wanted = reference.position[places].copy()
         self._upper_body.update(wanted)
-        self._reference.update(state)
+        self._step(state, dt)
+        self._reference.update(state, (self._gait.dcm, self._gait.vrp) if self._gait.active else None)
         self._operational_tasks(state, dt)
         self._posture_tasks(position, velocity, wanted, reference)
         n = self._joints.count
@@ -137,6 +165,31 @@ class WholeBodyController:
             return self._last_feasible(state, str(error))
         return self._command(state, solution, dt)
 
+    def _step(self, state: RobotState, dt: float) -> None:
+        """Let the gait go on, or begin if there are steps to take."""
+        gait, reference = self._gait, self._reference
+        if gait.active:
+            gait.update(state, dt)
+            self._stance.reset(state)
+        elif self.step_source is not None:
+            gait.start(state, self.step_source, reference.centre_dcm, reference.centre_vrp)
+        self._objective.swing(gait.swinging, self._walking.foot_weight)
+        self._qp.rho_upper = self._contacts.upper(gait.load, self._weight)
+
+    def _swing_task(self, state: RobotState, velocity: FloatArray) -> None:
+        """The swinging sole: a_ref + k_p·(x_ref − x) + k_d·(v_ref − v)."""
+        foot, wanted = self._gait.swinging, self._objective.acceleration
+        if foot is None:
+            return
+        point, table = self._gait.swing, self._walking
+        rows = sole_rows(foot)
+        error = np.empty(6)
+        np.subtract(point.position, state.sole_positions_in_odom[foot], out=error[:3])
+        error[3:] = rotation.error(point.rotation, state.sole_rotations_in_odom[foot])
+        wanted[rows] = point.acceleration
+        wanted[rows] += table.foot_stiffness * error
+        wanted[rows] += table.foot_damping * (point.velocity - velocity[rows])
+
     def _operational_tasks(self, state: RobotState, dt: float) -> None:
         """The CoM by the DCM law; orientations k_p·e − k_d·ω; momentum and feet damped."""
         reference, dynamics, wanted = self._reference, state.dynamics, self._objective.acceleration
@@ -148,7 +201,9 @@ class WholeBodyController:
         stiffness = self._table.orientation_stiffness
         wanted[CHEST] += stiffness * rotation.error(reference.chest, dynamics.chest_rotation)
         wanted[PELVIS] += stiffness * rotation.error(reference.pelvis, dynamics.rotation)
-        self._stance.hold(state, wanted[SOLES])
+        if not self._gait.active:
+            self._stance.hold(state, wanted[SOLES])
+        self._swing_task(state, velocity)
 
     def _posture_tasks(
         self, position: FloatArray, velocity: FloatArray, wanted: FloatArray, reference: UpperBodyReference

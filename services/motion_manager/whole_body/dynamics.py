@@ -34,6 +34,11 @@ SOLES = slice(12, 24)  # left linear, left angular, right linear, right angular
 ROWS = 24
 
 
+def sole_rows(foot: int) -> slice:
+    """Of one sole (0 left, 1 right): linear, then angular."""
+    return slice(12 + 6 * foot, 18 + 6 * foot)
+
+
 class ModelJoints:
     """The joints that the reduced model has, in the order of its degrees of freedom.
 

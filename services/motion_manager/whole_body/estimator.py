@@ -154,6 +154,8 @@ class FloatingBaseEstimator:
         self._anchor = np.zeros((2, 3))  # where each loaded sole stands in odom
         self._anchor_yaw = [0.0, 0.0]
         self._contact = [False, False]
+        self._settled = [0, 0]  # when each foot lies flat, robot time [ns]
+        self._settling = round(table.settling_time * 1e9)
         self._time = 0
         self._started = False
 
@@ -237,6 +239,14 @@ class FloatingBaseEstimator:
 
     def _correct_by_legs(self, feet: list[_Foot], angular_velocity: FloatArray, velocity: FloatArray) -> None:
         weights = [self._weight(i, foot) for i, foot in enumerate(feet)]
+        settling = [weight > 0.0 and self._time < at for weight, at in zip(weights, self._settled, strict=True)]
+        if any(settling) and not all(settling):
+            # A foot that comes down heel first says nothing about height until it lies flat: the other one does.
+            for i, still in enumerate(settling):
+                if still and weights[1 - i] > 0.0:
+                    weights[i] = 0.0
+                    self._anchor[i] = self._filter.state[0] + self.dynamics.sole_position[i]
+                    self._anchor_yaw[i] = feet[i].yaw
         total = weights[0] + weights[1]
         if total <= 0.0:
             self._filter.hang()
@@ -273,6 +283,7 @@ class FloatingBaseEstimator:
             if foot.force < self._contact_on:
                 return 0.0
             self._contact[i] = True
+            self._settled[i] = self._time + self._settling
             self._anchor[i] = self._filter.state[0] + self.dynamics.sole_position[i]
             self._anchor_yaw[i] = foot.yaw
         return foot.force - self._contact_off

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import acos, degrees, hypot
 
-from motion_manager.whole_body.state import RobotState
+from motion_manager.whole_body.state import FloatArray, RobotState
 from motion_manager.whole_body.support import convex_hull, corners_on_ground, distance_outside, sole_corners
 from valor_common.robot import RobotDescription
 
@@ -28,9 +28,15 @@ class FallDetector:
         """Forget how long the DCM has been outside."""
         self._outside_since = None
 
-    def update(self, state: RobotState) -> str | None:
-        """A reason that names quantity, value and limit; None while the robot is not falling."""
-        return self._tilt(state) or self._height(state) or self._dcm(state)
+    def update(self, state: RobotState, soles: tuple[FloatArray, FloatArray] | None = None) -> str | None:
+        """A reason that names quantity, value and limit; None while the robot is not falling.
+
+        Args:
+            state: the estimate.
+            soles: positions (2, 3) and rotations (2, 3, 3) where the soles can push, now or after the step that is
+                being taken; None: as they are.
+        """
+        return self._tilt(state) or self._height(state) or self._dcm(state, soles)
 
     def _tilt(self, state: RobotState) -> str | None:
         tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))
@@ -45,15 +51,16 @@ class FallDetector:
             return None
         return f"pelvis {height:.2f} m above the soles, limit {self._lowest:.2f} m"
 
-    def _dcm(self, state: RobotState) -> str | None:
+    def _dcm(self, state: RobotState, soles: tuple[FloatArray, FloatArray] | None) -> str | None:
+        positions, rotations = soles or (state.sole_positions_in_odom, state.sole_rotations_in_odom)
         x, y, _ = state.dcm_in_odom.tolist()
-        (lx, ly, _), (rx, ry, _) = state.sole_positions_in_odom.tolist()
+        (lx, ly, _), (rx, ry, _) = positions.tolist()
         limit = self._limits.dcm_margin
         # Within the soles' own radius around the middle it is inside; the hull is needed only beyond.
         if hypot(x - 0.5 * (lx + rx), y - 0.5 * (ly + ry)) < self._limits.dcm_margin:
             self._outside_since = None
             return None
-        points = corners_on_ground(self._corners, state.sole_positions_in_odom, state.sole_rotations_in_odom)
+        points = corners_on_ground(self._corners, positions, rotations)
         outside = distance_outside(convex_hull(points), x, y)
         if outside <= limit:
             self._outside_since = None

@@ -12,6 +12,7 @@ import daqp
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.whole_body.contact import UNBOUNDED
 from motion_manager.whole_body.dynamics import Dynamics
 from motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
 from motion_manager.whole_body.state import FloatArray, QpStatus
@@ -19,7 +20,6 @@ from motion_manager.whole_body.tasks import Objective
 
 ROUNDS = 8  # of limits joining the problem
 TOLERANCE = 1e-6  # of a limit [N·m, rad/s²]
-UNBOUNDED = 1e30
 
 
 @dataclass(slots=True)

@@ -1,7 +1,8 @@
-"""The reference of standing: from the state as it is, smoothly, to the nominal stance over the feet.
+"""The reference of balance: from the state as it is, smoothly, to the nominal stance over the feet; or along a gait.
 
 All start values fade out by one minimum-jerk blend s(t) (Flash & Hogan 1985). The CoM ends over the support's centre at
-its nominal height, moved with the arms (``arms``); pelvis and chest end level, heading as the feet do.
+its nominal height, moved with the arms (``arms``); pelvis and chest end level, heading as the feet do. While the robot
+steps, DCM and VRP are those of its gait, moved with the arms likewise.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ class StandReference:
         dcm: (3,), vrp: (3,) in odom [m].
         pelvis: (3, 3), chest: (3, 3) in odom.
         legs_blend: s, of the leg joints from where they were to nominal.
+        centre_dcm: (3,), centre_vrp: (3,) the same of a robot with nominal arms.
     """
 
     def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics) -> None:
@@ -90,6 +92,7 @@ class StandReference:
         self._pelvis_offset = np.zeros(3)
         self._chest_offset = np.zeros(3)
         self.dcm, self.vrp = np.zeros(3), np.zeros(3)
+        self.centre_dcm, self.centre_vrp = np.zeros(3), np.zeros(3)
         self.pelvis, self.chest = np.eye(3), np.eye(3)
         self.legs_blend = 0.0
 
@@ -104,27 +107,36 @@ class StandReference:
         chest = level @ self._upper_body.chest_rotation()
         self._chest_offset = rotation.rotation_vector(state.dynamics.chest_rotation @ chest.T)
 
-    def update(self, state: RobotState) -> None:
-        """Go on by one period; ``upper_body`` is at the commanded posture."""
+    def update(self, state: RobotState, gait: tuple[FloatArray, FloatArray] | None = None) -> None:
+        """Go on by one period; ``upper_body`` is at the commanded posture.
+
+        Args:
+            state: the estimate.
+            gait: (3,) DCM and (3,) VRP of the gait while the robot steps; None: it stands.
+        """
         self._time += self._dt
         level = _level(state)
-        self._support += (self._support_centre(state) - self._support) * self._support_gain
         self._shift.update(self._clipped_shift(level))
-        points = self._points @ self._shift.state
-        points += self._support
-        self.dcm, self.vrp = points[0], points[1]
         self.pelvis = level
         self.chest = level @ self._upper_body.chest_rotation()
         self.legs_blend = 1.0
+        self._support = self._support + (self._support_centre(state) - self._support) * self._support_gain
+        self.centre_dcm = self.centre_vrp = self._support
         if self._time < self._duration:
             self._blend_in(*minimum_jerk(self._time, self._duration))
+        if gait is not None:
+            self.centre_dcm, self.centre_vrp = gait
+            self._support = self.centre_vrp  # where standing goes on from
+            self._com_offset[:] = 0.0
+        points = self._points @ self._shift.state
+        self.dcm, self.vrp = points[0] + self.centre_dcm, points[1] + self.centre_vrp
 
     def _blend_in(self, s: float, rate: float, acceleration: float) -> None:
         """Add what is left of the start."""
         omega, left = self._omega, 1.0 - s
         self.legs_blend = s
-        self.dcm += (left - rate / omega) * self._com_offset
-        self.vrp += (left + acceleration / (omega * omega)) * self._com_offset
+        self.centre_dcm = self._support + (left - rate / omega) * self._com_offset
+        self.centre_vrp = self._support + (left + acceleration / (omega * omega)) * self._com_offset
         self.pelvis = rotation.from_rotation_vector(left * self._pelvis_offset) @ self.pelvis
         self.chest = rotation.from_rotation_vector(left * self._chest_offset) @ self.chest
 

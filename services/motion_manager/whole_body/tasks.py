@@ -11,9 +11,21 @@ has H = Σ wᵢ·JᵢᵀJᵢ + diag(p) and g = Σ wᵢ·Jᵢᵀ(aᵢ − dᵢ) +
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
-from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, Dynamics, ModelJoints
+from motion_manager.whole_body.dynamics import (
+    CHEST,
+    COM,
+    MOMENTUM,
+    PELVIS,
+    ROWS,
+    SOLES,
+    Dynamics,
+    ModelJoints,
+    sole_rows,
+)
 from valor_common.robot import WholeBody
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks
@@ -34,6 +46,7 @@ class Objective:
         weights[MOMENTUM] = table.angular_momentum_weight
         weights[CHEST] = weights[PELVIS] = table.orientation_weight
         weights[SOLES] = table.foot_weight
+        self._foot_root = sqrt(table.foot_weight)
         self._root = np.sqrt(weights)
         self._root_column = self._root[:, None].copy()
         posture = np.zeros(joints.count)
@@ -53,6 +66,14 @@ class Objective:
         self._joint_gradient = self.gradient[6:]
         self._weighted = np.zeros((ROWS, nv))
         self._wanted = np.zeros(ROWS)
+
+    def swing(self, foot: int | None, weight: float) -> None:
+        """The foot that swings from now on (0 left, 1 right; None: neither), and its task's weight."""
+        root = self._root
+        root[SOLES] = self._foot_root
+        if foot is not None:
+            root[sole_rows(foot)] = sqrt(weight)
+        self._root_column[:, 0] = root
 
     def update(self, dynamics: Dynamics) -> None:
         """Put the tasks together at this state."""

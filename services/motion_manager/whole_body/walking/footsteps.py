@@ -1,0 +1,87 @@
+"""Footsteps: what a step is, where the next ones come from, and which a robot can take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import acos
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.whole_body import rotation
+from motion_manager.whole_body.walking.swing import SolePose
+from valor_common.robot import Footsteps
+
+FloatArray = npt.NDArray[np.float64]
+
+LEFT, RIGHT = 0, 1
+FEET = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step."""
+
+    index: int
+    foot: int  # LEFT or RIGHT
+    sole: SolePose  # where it ends, in odom
+    swing_height: float  # [m]
+    swing_duration: float  # [s]
+    transfer_duration: float  # of the double support before [s]
+
+
+class StepSource(Protocol):
+    """Where the gait gets its steps from."""
+
+    def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
+        """The steps to come, the next first; none: stand. Asked when weight is about to be transferred.
+
+        Args:
+            soles: of the left and right foot, both on the ground.
+        """
+
+    def began(self, step: Step) -> None:
+        """The first of the upcoming steps is being taken now."""
+
+    def ended(self, step: Step) -> None:
+        """Its foot is on the ground."""
+
+    def rested(self) -> None:
+        """The robot stands on both feet, at rest."""
+
+
+def reach_refusal(step: Step, other: SolePose, limits: Footsteps) -> str:
+    """Why a step is beyond reach of the other foot; an empty text: it is not.
+
+    Args:
+        step: it.
+        other: the sole of the other foot meanwhile.
+        limits: of the robot.
+    """
+    way = step.sole.position - other.position
+    forward, lateral, up = rotation.yaw_matrix(rotation.yaw(other.rotation)).T @ way
+    width = float(lateral if step.foot == LEFT else -lateral)
+    turn = step.sole.rotation @ other.rotation.T
+    yaw = rotation.yaw(turn)
+    tilt = acos(min(1.0, max(-1.0, float(step.sole.rotation[2, 2]))))
+    checks = (
+        ("forward", forward, -limits.max_backward, limits.max_forward, "m"),
+        ("apart", width, limits.min_width, limits.max_width, "m"),
+        ("up", up, -limits.max_down, limits.max_up, "m"),
+        ("turned", yaw, -limits.max_yaw, limits.max_yaw, "rad"),
+        ("tilted", tilt, 0.0, limits.max_tilt, "rad"),
+    )
+    for what, value, low, high, unit in checks:
+        if not low - 1e-6 <= value <= high + 1e-6:
+            return (
+                f"step {step.index} ({FEET[step.foot]}) is {value:.3f} {unit} {what} of the other foot; "
+                f"expected {low} to {high} {unit}"
+            )
+    return ""
+
+
+def level_pose(x: float, y: float, z: float, yaw: float) -> SolePose:
+    """A level sole in odom [m, rad]."""
+    return SolePose(np.array((x, y, z)), rotation.yaw_matrix(yaw))

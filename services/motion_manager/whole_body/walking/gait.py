@@ -1,0 +1,190 @@
+"""The gait: transfer the weight, swing a foot, transfer, swing, … until there are no more steps, then stand.
+
+    at rest ─► transfer ─► swing ─► transfer ─► swing ─► … ─► last transfer ─► at rest
+
+Steps are asked for when a transfer begins, and the DCM is planned anew from where its reference is, over the soles as
+they really stand: so a plan may change with every step, and a foot that came down elsewhere is no error any more. What
+is planned for later is forgotten by the DCM with e^{−ωt}; three steps ahead are enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.whole_body.state import RobotState
+from motion_manager.whole_body.walking.dcm_plan import DcmPlan
+from motion_manager.whole_body.walking.footsteps import LEFT, Step, StepSource
+from motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
+from valor_common.robot import RobotDescription
+
+FloatArray = npt.NDArray[np.float64]
+
+AHEAD = 3  # steps planned
+
+
+class Gait:
+    """Where DCM and feet shall be while the robot steps.
+
+    Attributes:
+        active: whether it steps; the rest is of meaning only then.
+        dcm: (3,), vrp: (3,) references in odom, of a robot with nominal arms [m].
+        load: (2,) how much each foot may push: 0 not at all, 1 as it likes.
+        swinging: the foot in the air, or None.
+        swing: where it shall be.
+        foothold: where it shall come down, or None.
+    """
+
+    def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
+        """Args: omega: ω [1/s]. com_height: of the CoM above the soles [m]."""
+        self._table, self._omega = robot.tables.walking, omega
+        feet = robot.tables.feet
+        self._centres = [np.array(((foot.heel + foot.toe) / 2.0, 0.0, 0.0)) for foot in (feet.left, feet.right)]
+        self._height = np.array((0.0, 0.0, com_height))
+        self._source: StepSource
+        self._step: Step | None = None
+        self._plan: DcmPlan
+        self._trajectory: SwingTrajectory
+        self._time = 0.0  # since the transfer began [s]
+        self._transfer = 0.0  # duration of it [s]
+        self._early = 0.0  # that the last foot came down before its time [s]
+        self._landed: int | None = None
+        self.active = False
+        self.dcm, self.vrp = np.zeros(3), np.zeros(3)
+        self.load = np.ones(2)
+        self.swinging: int | None = None
+        self.swing: SwingPoint
+        self.foothold: SolePose | None = None
+
+    def start(self, state: RobotState, source: StepSource, dcm: FloatArray, vrp: FloatArray) -> bool:
+        """Begin to step from rest if the source has steps.
+
+        Args:
+            state: the robot's.
+            source: of the steps.
+            dcm: (3,) reference of standing, which the gait goes on from [m].
+            vrp: (3,) likewise [m].
+        """
+        steps = source.upcoming(sole_poses(state))
+        if not steps:
+            return False
+        self.active = True
+        self.dcm, self.vrp = dcm, vrp
+        self._early, self._landed = 0.0, None
+        self._source = source
+        self._begin_transfer(state, steps, self._table.first_transfer_duration)
+        return True
+
+    def stop(self) -> None:
+        """Forget everything: somebody else has the legs."""
+        self.active = False
+        self.swinging = self.foothold = self._step = None
+        self.load[:] = 1.0
+
+    def update(self, state: RobotState, dt: float) -> None:
+        """One period."""
+        self._time += dt
+        if self.swinging is None:
+            if self._time >= self._transfer:
+                if self._step is None:
+                    self.stop()
+                    self._source.rested()
+                    return
+                self._begin_swing(state, self._step)
+        elif self._touched(state, self.swinging):
+            self._end_swing(state)
+        self.dcm, self.vrp = self._plan.at(self._time)
+        self._feet()
+
+    # --- phases ---------------------------------------------------------------------------------------------------
+
+    def _begin_transfer(self, state: RobotState, steps: Sequence[Step], shortest: float = 0.0) -> None:
+        """Towards the next step, or to rest."""
+        self._time = 0.0
+        if steps:
+            self._step, self.foothold = steps[0], steps[0].sole
+            self._transfer = max(shortest, steps[0].transfer_duration) + self._early
+            self._source.began(steps[0])
+        else:
+            self._step = self.foothold = None
+            self._transfer = self._table.last_transfer_duration
+        self._plan_dcm(sole_poses(state), steps)
+
+    def _plan_dcm(self, soles: list[SolePose], steps: Sequence[Step]) -> None:
+        """The VRP's knots over the soles as they stand and will stand, and the DCM through them."""
+        durations, knots = [], [self.vrp]
+        poses = list(soles)
+        for i, step in enumerate(steps[:AHEAD]):
+            stance = self._over(poses[1 - step.foot], 1 - step.foot)
+            transfer = self._transfer if i == 0 else step.transfer_duration
+            if i == 0 and self._landed is None:  # from rest: sway aside first
+                durations += [0.5 * transfer, 0.5 * transfer]
+                knots += [0.5 * (self.vrp + stance), stance]
+            else:
+                durations.append(transfer)
+                knots.append(stance)
+            durations.append(step.swing_duration)
+            knots.append(stance)
+            poses[step.foot] = step.sole
+        rest = 0.5 * (self._over(poses[0], 0) + self._over(poses[1], 1))
+        if steps:
+            durations.append(self._table.last_transfer_duration)
+            knots.append(rest)
+        else:
+            durations += [0.5 * self._transfer, 0.5 * self._transfer]
+            knots += [0.5 * (self.vrp + rest), rest]
+        self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm)
+
+    def _over(self, sole: SolePose, foot: int) -> FloatArray:
+        """(3,) the VRP over the middle of a sole, in odom [m]."""
+        place: FloatArray = sole.position + sole.rotation @ self._centres[foot] + self._height
+        return place
+
+    def _begin_swing(self, state: RobotState, step: Step) -> None:
+        table = self._table
+        self.swinging = step.foot
+        self._trajectory = SwingTrajectory(
+            sole_poses(state)[step.foot],
+            step.sole,
+            height=step.swing_height,
+            duration=step.swing_duration,
+            depth=table.touchdown_depth,
+            descent=table.late_descent,
+        )
+
+    def _touched(self, state: RobotState, foot: int) -> bool:
+        step, passed = self._step, self._time - self._transfer
+        assert step is not None
+        if passed < self._table.earliest_touchdown * step.swing_duration:
+            return False
+        felt = state.foot_forces[foot] > self._table.touchdown_force
+        return bool(felt) or passed > step.swing_duration + self._table.latest_touchdown
+
+    def _end_swing(self, state: RobotState) -> None:
+        step = self._step
+        assert step is not None
+        self._source.ended(step)
+        self._landed, self.swinging = step.foot, None
+        self._early = max(0.0, self._transfer + step.swing_duration - self._time)
+        self._begin_transfer(state, self._source.upcoming(sole_poses(state)))
+
+    def _feet(self) -> None:
+        """Who may push, and where the swinging foot shall be."""
+        self.load[:] = 1.0
+        if self.swinging is not None:
+            self.load[self.swinging] = 0.0
+            self.swing = self._trajectory.at(self._time - self._transfer)
+            return
+        ramp = self._table.loading_duration
+        if self._landed is not None:
+            self.load[self._landed] = min(1.0, self._time / ramp)
+        if self._step is not None:
+            foot = self._step.foot
+            self.load[foot] = min(self.load[foot], max(0.0, (self._transfer - self._time) / ramp))
+
+
+def sole_poses(state: RobotState) -> list[SolePose]:
+    """Left and right, as they are."""
+    return [SolePose(state.sole_positions_in_odom[i], state.sole_rotations_in_odom[i]) for i in (LEFT, 1)]

@@ -1,0 +1,132 @@
+"""Walking by velocity: the steps that carry the robot at the velocity asked for.
+
+The robot's *middle* moves with the velocity from step to step, and each foot comes down half a step width beside it. To
+the side both feet of a pair of steps would meet, so the foot that leads takes the way of both, and the other closes up.
+Each step's velocity differs from the last one's by no more than a limit, and without word for a while it is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, cos, hypot, sin
+
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.whole_body import rotation
+from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
+from motion_manager.whole_body.walking.swing import SolePose
+from valor_common.robot import Walking
+
+FloatArray = npt.NDArray[np.float64]
+
+ALIGNED = (0.02, 0.05)  # feet so well side by side need no closing step [m, rad]
+STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
+AHEAD = 3  # steps
+
+
+class VelocitySteps:
+    """A ``StepSource`` that makes its steps on line.
+
+    Attributes:
+        velocity: (3,) of the step being taken: forward, left [m/s], turning [rad/s].
+    """
+
+    def __init__(self, table: Walking) -> None:
+        self._table = table
+        self._period = table.swing_duration + table.transfer_duration
+        self._highest = np.array((table.max_forward_speed, table.max_lateral_speed, table.max_turn_rate))
+        self._lowest = np.array((-table.max_backward_speed, -table.max_lateral_speed, -table.max_turn_rate))
+        self._change = np.array((table.speed_change, table.speed_change, table.turn_change))
+        self._wanted = np.zeros(3)
+        self._heard = 0.0
+        self._now = 0.0
+        self._last_foot: int | None = None
+        self._next_velocity = np.zeros(3)
+        self.velocity = np.zeros(3)
+
+    def command(self, velocity: FloatArray, now: float) -> None:
+        """Walk so from now on: (3,) forward, left [m/s], turning [rad/s], clamped to what the robot can do."""
+        self._wanted = np.clip(velocity, self._lowest, self._highest)
+        self._heard = self._now = now
+
+    def advance(self, now: float) -> None:
+        """Robot time [s]: a command that is too old is a stop."""
+        self._now = now
+        if now - self._heard > self._table.command_timeout:
+            self._wanted = np.zeros(3)
+
+    def stop(self) -> None:
+        """Do not walk any more."""
+        self._wanted = np.zeros(3)
+
+    # --- StepSource -----------------------------------------------------------------------------------------------
+
+    def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
+        """The next steps; none when the robot shall stand and its feet are side by side."""
+        velocity = self._changed(self.velocity)
+        self._next_velocity = velocity
+        foot = self._first(velocity) if self._last_foot is None else 1 - self._last_foot
+        if not velocity.any() and self._aligned(soles, foot):
+            return ()
+        steps = []
+        stance = soles[1 - foot]
+        for _ in range(AHEAD):
+            step = self._step(foot, stance, velocity)
+            steps.append(step)
+            foot, stance, velocity = 1 - foot, step.sole, self._changed(velocity)
+        return steps
+
+    def began(self, step: Step) -> None:
+        """The velocity of the first step is the robot's now."""
+        self.velocity, self._last_foot = self._next_velocity, step.foot
+
+    def ended(self, step: Step) -> None:
+        """Nothing."""
+
+    def rested(self) -> None:
+        """The next walk begins with either foot."""
+        self.velocity, self._last_foot = np.zeros(3), None
+
+    # --- helpers --------------------------------------------------------------------------------------------------
+
+    def _changed(self, velocity: FloatArray) -> FloatArray:
+        """The velocity of the step after one with ``velocity``."""
+        new: FloatArray = velocity + np.clip(self._wanted - velocity, -self._change, self._change)
+        return np.where(np.abs(new) < STILL, 0.0, new)
+
+    @staticmethod
+    def _first(velocity: FloatArray) -> int:
+        """The foot that leads."""
+        _, left, turn = velocity.tolist()
+        return LEFT if (left if left else turn) > 0.0 else RIGHT
+
+    def _step(self, foot: int, stance: SolePose, velocity: FloatArray) -> Step:
+        """The step of ``foot`` from the other's place, at the velocity."""
+        table, period = self._table, self._period
+        side = 1.0 if foot == LEFT else -1.0
+        forward, lateral, turn = (velocity * period).tolist()
+        leads = max(0.0, 2.0 * lateral * side)  # the way of both steps, or none
+        yaw = rotation.yaw(stance.rotation)
+        # From the stance foot to the middle as it is, then with the velocity, then to the foot's side of it.
+        x, y = 0.0, 0.5 * side * table.step_width
+        x, y = x + forward, y + leads * side
+        c, s = cos(turn), sin(turn)
+        half = 0.5 * side * table.step_width
+        x, y = x - s * half, y + c * half
+        cy, sy = cos(yaw), sin(yaw)
+        px, py, pz = stance.position.tolist()
+        return Step(
+            index=-1,
+            foot=foot,
+            sole=level_pose(px + cy * x - sy * y, py + sy * x + cy * y, pz, yaw + turn),
+            swing_height=table.swing_height,
+            swing_duration=table.swing_duration,
+            transfer_duration=table.transfer_duration,
+        )
+
+    def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:
+        """Whether a step on the spot would not change much."""
+        there = self._step(foot, soles[1 - foot], np.zeros(3)).sole
+        way, turn = there.position - soles[foot].position, there.rotation @ soles[foot].rotation.T
+        return hypot(float(way[0]), float(way[1])) < ALIGNED[0] and abs(atan2(turn[1, 0], turn[0, 0])) < ALIGNED[1]

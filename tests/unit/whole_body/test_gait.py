@@ -1,0 +1,62 @@
+"""Walking in closed loop, on a plant that is not the controller's model, in one process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from tests.unit.whole_body.closed_loop import ClosedLoop
+from valor_common.robot import RobotDescription
+
+
+def walk(loop: ClosedLoop, velocity: tuple[float, float, float], seconds: float) -> tuple[np.ndarray, float]:
+    """Walk, stop and come to rest; the DCM's errors (k, 3) [m], and the smallest knee angle [rad]."""
+    source = VelocitySteps(loop.robot.tables.walking)
+    loop.controller.step_source = source
+    knees = [loop.robot.index[name] for name in ("l_knee_pitch", "r_knee_pitch")]
+    errors, knee = [], np.inf
+    until = loop.time + seconds
+    while loop.fall is None and (loop.time < until or loop.controller.stepping):
+        if loop.time < until:
+            source.command(np.array(velocity), loop.time)
+        source.advance(loop.time)
+        loop.step()
+        errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
+        knee = min(knee, float(loop.plant.joint_position[knees].min()))
+    return np.array(errors), knee
+
+
+@pytest.mark.parametrize(
+    ("velocity", "seed"), [((0.4, 0.0, 0.0), 0), ((0.3, 0.0, 0.2), 1), ((0.0, 0.08, 0.0), 2)], ids=str
+)
+def test_walks_and_comes_to_rest(robot: RobotDescription, velocity: tuple[float, float, float], seed: int) -> None:
+    loop = ClosedLoop(robot, "hardware", seed)
+    loop.settle(0.3)
+    loop.run(0.5)  # not even at nominal yet
+    before, believed = loop.plant.data.qpos[:3].copy(), loop.state.pelvis_position_in_odom
+    errors, knee = walk(loop, velocity, 4.0)
+    assert loop.fall is None
+    assert loop.command.qp_failures == 0
+    assert (np.sqrt((errors**2).mean(axis=0)) < 0.025).all()
+    assert knee > 0.5
+    way = loop.plant.data.qpos[:3] - before
+    assert np.linalg.norm(way[:2]) > 0.15
+    np.testing.assert_allclose(loop.state.pelvis_position_in_odom - believed, way, atol=0.06)
+    loop.run(2.0)
+    assert np.abs(loop.plant.data.qvel[:3]).max() < 0.02
+    soles = loop.state.sole_positions_in_odom
+    assert np.linalg.norm(soles[0] - soles[1]) == pytest.approx(robot.tables.walking.step_width, abs=0.03)
+
+
+def test_standing_goes_over_into_stepping_without_a_jump(robot: RobotDescription) -> None:
+    loop = ClosedLoop(robot)
+    loop.run(2.5)
+    effort, dcm = loop.command.effort, loop.command.dcm_reference_in_odom
+    source = VelocitySteps(robot.tables.walking)
+    loop.controller.step_source = source
+    source.command(np.array([0.3, 0.0, 0.0]), loop.time)
+    loop.run(0.01)
+    assert loop.controller.stepping
+    np.testing.assert_allclose(loop.command.dcm_reference_in_odom, dcm, atol=1e-3)
+    assert np.abs(loop.command.effort - effort).max() < 6.0  # [N·m]

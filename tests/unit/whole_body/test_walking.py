@@ -1,0 +1,204 @@
+"""The DCM's plan, swinging feet and steps on line: mathematics against numerical integration and limits."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motion_manager.whole_body import rotation
+from motion_manager.whole_body.walking.dcm_plan import DcmPlan
+from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose, reach_refusal
+from motion_manager.whole_body.walking.step_queue import StepQueue
+from motion_manager.whole_body.walking.swing import SolePose, SwingTrajectory
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor_common.robot import RobotDescription
+
+OMEGA = 3.377
+DT = 1e-4  # of numerical integration and differentiation [s]
+FEET = [level_pose(0.0, 0.1, 0.0, 0.0), level_pose(0.0, -0.1, 0.0, 0.0)]
+
+places = st.floats(-0.5, 0.5)
+points = st.tuples(places, places, places)
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 1.5), points), min_size=2, max_size=8), points, points)
+def test_a_plan_begins_where_it_must_and_obeys_the_dynamics(
+    pieces: list[tuple[float, tuple[float, float, float]]],
+    start: tuple[float, float, float],
+    dcm: tuple[float, float, float],
+) -> None:
+    knots = np.array([start, *(point for _, point in pieces)])
+    plan = DcmPlan(OMEGA, [duration for duration, _ in pieces], knots, np.array(dcm))
+    first, vrp = plan.at(0.0)
+    np.testing.assert_allclose(first, dcm, atol=1e-9)
+    np.testing.assert_allclose(vrp, start, atol=1e-9)
+    moved = np.delete(plan.knots, 1, axis=0)
+    np.testing.assert_array_equal(moved, np.delete(knots, 1, axis=0))  # only the first knot gave way
+    size = 1.0 + np.abs(plan.knots).max()
+    before, time = first, 0.0
+    for _ in range(200):  # ξ̇ = ω·(ξ − v), by central differences
+        time += plan.duration / 200
+        after, _ = plan.at(time)
+        middle = DcmPlan(OMEGA, [duration for duration, _ in pieces], knots, np.array(dcm)).at(time - DT)[0]
+        _, vrp = plan.at(time)
+        np.testing.assert_allclose((after - middle) / DT, OMEGA * (after - vrp), atol=0.01 * size)
+        before = after
+    np.testing.assert_allclose(before, knots[-1], atol=1e-9 * size)
+    rest, vrp = plan.at(plan.duration + 10.0)
+    np.testing.assert_allclose(rest, knots[-1], atol=1e-9 * size)
+    np.testing.assert_allclose(vrp, knots[-1], atol=1e-9 * size)
+
+
+def test_a_plan_is_what_integration_gives() -> None:
+    """ξ̇ = ω·(ξ − v) integrated backwards from rest, where it is stable."""
+    durations = [0.5, 0.5, 0.6, 0.2, 0.6, 1.0]
+    knots = np.array([[0, 0, 0.9], [0, 0.05, 0.9], [0, 0.1, 0.9], [0, 0.1, 0.9], [0.3, -0.1, 1.0], [0.3, -0.1, 1.0],
+                      [0.3, 0, 1.0]])  # fmt: skip
+    plan = DcmPlan(OMEGA, durations, knots, np.array([0.01, 0.0, 0.9]))
+    times = np.concatenate(([0.0], np.cumsum(durations)))
+    dcm, time = plan.knots[-1].copy(), plan.duration
+    while time > 0.0:
+        vrp = np.array([np.interp(time - DT / 2, times, plan.knots[:, i]) for i in range(3)])
+        dcm = vrp + (dcm - vrp) * np.exp(-OMEGA * DT)
+        time -= DT
+    np.testing.assert_allclose(dcm, [0.01, 0.0, 0.9], atol=1e-6)
+
+
+@pytest.fixture
+def swing() -> SwingTrajectory:
+    target = SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3))
+    return SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05)
+
+
+def test_a_swing_leaves_and_lands_at_rest_over_its_apex(swing: SwingTrajectory) -> None:
+    begin, middle, end = swing.at(0.0), swing.at(0.3), swing.at(0.6 - 1e-9)
+    np.testing.assert_allclose(begin.position, FEET[0].position)
+    np.testing.assert_allclose(end.position, [0.4, 0.12, 0.047], atol=1e-6)
+    np.testing.assert_allclose(end.rotation, rotation.yaw_matrix(0.3), atol=1e-6)
+    assert middle.position[2] == pytest.approx(0.05 + 0.06)
+    for point in (begin, end):
+        np.testing.assert_allclose(point.velocity, 0.0, atol=1e-6)
+    late = swing.at(0.8)
+    assert late.position[2] == pytest.approx(0.047 - 0.2 * 0.05)
+    assert late.velocity[2] == pytest.approx(-0.05)
+
+
+@given(st.floats(0.01, 0.59))
+def test_a_swing_has_the_derivatives_it_claims(time: float) -> None:
+    swing = SwingTrajectory(
+        FEET[0],
+        SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3)),
+        height=0.06, duration=0.6, depth=0.003, descent=0.05,
+    )  # fmt: skip
+    if abs(time - 0.3) < 2 * DT:
+        return  # the halves of the height meet with different jerk
+    before, here, after = swing.at(time - DT), swing.at(time), swing.at(time + DT)
+    np.testing.assert_allclose((after.position - before.position) / (2 * DT), here.velocity[:3], atol=1e-4)
+    np.testing.assert_allclose((after.velocity - before.velocity) / (2 * DT), here.acceleration, atol=1e-2)
+    turned = rotation.rotation_vector(after.rotation @ before.rotation.T) / (2 * DT)
+    np.testing.assert_allclose(turned, here.velocity[3:], atol=1e-4)
+
+
+def test_reach_is_told_by_step_quantity_and_limit(robot: RobotDescription) -> None:
+    limits = robot.tables.footsteps
+    assert limits is not None
+
+    def refusal(foot: int, x: float, y: float, z: float = 0.0, yaw: float = 0.0, heading: float = 0.0) -> str:
+        """Of a step seen from the other foot's sole, which stands somewhere, turned by ``heading``."""
+        c, s = cos(heading), sin(heading)
+        sole = level_pose(3.0 + c * x - s * y, -2.0 + s * x + c * y, 0.5 + z, heading + yaw)
+        step = Step(7, foot, sole, 0.06, 0.6, 0.2)
+        return reach_refusal(step, level_pose(3.0, -2.0, 0.5, heading), limits)
+
+    for heading in (0.0, 1.0, -3.0):
+        assert not refusal(LEFT, 0.3, 0.2, heading=heading)
+        assert not refusal(RIGHT, -0.2, -0.2, 0.1, -0.3, heading)
+        assert refusal(LEFT, 0.8, 0.2, heading=heading).startswith("step 7 (left) is 0.800 m forward")
+    assert "apart" in refusal(LEFT, 0.0, -0.2)  # crossed
+    assert "apart" in refusal(RIGHT, 0.0, -0.7)
+    assert "up" in refusal(LEFT, 0.0, 0.2, 0.3)
+    assert "turned" in refusal(LEFT, 0.0, 0.2, 0.0, 0.7)
+
+
+def follow(source: VelocitySteps, command: tuple[float, float, float], count: int) -> list[Step]:
+    """Steps taken as planned, with the command repeated before each."""
+    soles, taken = list(FEET), []
+    for i in range(count):
+        source.command(np.array(command), float(i))
+        steps = source.upcoming(soles)
+        if not steps:
+            break
+        source.began(steps[0])
+        soles[steps[0].foot] = steps[0].sole
+        source.ended(steps[0])
+        taken.append(steps[0])
+    return taken
+
+
+velocities = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+
+
+@given(velocities)
+def test_steps_on_line_are_within_reach_and_alternate(command: tuple[float, float, float]) -> None:
+    from tests.unit.whole_body.closed_loop import load_robot
+
+    tables = load_robot().tables
+    assert tables.footsteps is not None
+    soles = list(FEET)
+    last = None
+    for step in follow(VelocitySteps(tables.walking), command, 10):
+        assert step.foot != last
+        assert not reach_refusal(step, soles[1 - step.foot], tables.footsteps)
+        soles[step.foot], last = step.sole, step.foot
+
+
+@pytest.mark.parametrize("command", [(0.4, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.08, 0.0), (0.0, -0.08, 0.0)])
+def test_steps_on_line_go_at_the_velocity(robot: RobotDescription, command: tuple[float, float, float]) -> None:
+    table = robot.tables.walking
+    taken = follow(VelocitySteps(table), command, 20)
+    way = taken[-1].sole.position - taken[-11].sole.position  # ten steps, of the same foot
+    period = table.swing_duration + table.transfer_duration
+    np.testing.assert_allclose(way[:2] / (10 * period), command[:2], atol=1e-9)
+
+
+def test_without_a_command_the_feet_come_together_and_stand(robot: RobotDescription) -> None:
+    table = robot.tables.walking
+    source = VelocitySteps(table)
+    assert not source.upcoming(FEET)  # nothing wanted: stand
+    soles, taken = list(FEET), []
+    source.command(np.array([0.4, 0.0, 0.0]), 0.0)
+    for i in range(40):
+        source.advance(0.1 * i)  # and nobody commands again
+        if not (steps := source.upcoming(soles)):
+            break
+        source.began(steps[0])
+        soles[steps[0].foot] = steps[0].sole
+        taken.append(steps[0])
+    assert 3 < len(taken) < 39
+    assert soles[0].position[0] == pytest.approx(soles[1].position[0], abs=1e-6)
+    assert np.linalg.norm(soles[0].position - soles[1].position) == pytest.approx(table.step_width)
+
+
+def test_a_queue_tells_what_becomes_of_its_steps() -> None:
+    steps = [Step(i, i % 2, FEET[i % 2], 0.06, 0.6, 0.2) for i in range(4)]
+    queue = StepQueue()
+    queue.begin(steps)
+    assert queue.state == "executing"
+    for i in range(2):
+        queue.began(queue.upcoming(FEET)[0])
+        assert queue.executing is steps[i]
+        queue.ended(steps[i])
+        assert queue.last_performed == i
+    queue.stop("enough")
+    assert not queue.upcoming(FEET)
+    queue.rested()
+    assert (queue.state, queue.reason) == ("finished", "enough")
+    assert queue.take_finished()
+    assert not queue.take_finished()
+    queue.begin(steps)
+    queue.fail("fallen")
+    assert (queue.state, queue.steps, queue.executing) == ("failed", [], None)
