@@ -37,6 +37,7 @@ class Peer:
     incarnation: int
     started: int
     entry: d.Entry
+    alive: bool  # as far as is known; False: gone, and what it sent last may still be on its way
 
 
 @dataclass
@@ -53,7 +54,7 @@ class Watch:
 class _Departed:
     record: d.NodeRecord
     until: float
-    callable: bool  # its servers may be alive
+    alive: bool  # it may be
 
 
 @dataclass
@@ -190,12 +191,16 @@ class Discovery:
         )
 
     def _peers(self, watch: Watch) -> tuple[Peer, ...]:
-        departed = (each.record for each in self._state.departed.values() if each.callable or watch.kind == "publisher")
-        records = [*self._state.nodes.values(), *departed]
-        records.sort(key=lambda record: record.started)
+        records = [(record, True) for record in self._state.nodes.values()]
+        records += [
+            (each.record, each.alive)
+            for each in self._state.departed.values()
+            if each.alive or watch.kind == "publisher"
+        ]
+        records.sort(key=lambda pair: pair[0].started)
         return tuple(
-            Peer(record.name, record.incarnation, record.started, entry)
-            for record in records
+            Peer(record.name, record.incarnation, record.started, entry, alive)
+            for record, alive in records
             for entry in record.entries
             if entry.kind == watch.kind and entry.topic == watch.topic
         )

@@ -149,8 +149,8 @@ class Subscriber(Generic[M]):
 
     @property
     def publishers(self) -> tuple[str, ...]:
-        """Names of the nodes that it is connected to."""
-        return tuple(peer.node for peer in self._watch.peers if peer.entry.endpoint in self._connected)
+        """Names of the nodes that it is connected to, without those that are known to be gone."""
+        return tuple(peer.node for peer in self._watch.peers if peer.alive and peer.entry.endpoint in self._connected)
 
     @property
     def mismatches(self) -> list[SchemaError]:

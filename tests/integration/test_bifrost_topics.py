@@ -130,6 +130,17 @@ def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> No
     until(lambda: subscriber.drain() is not None and len(subscriber.publishers) == 1, "the dead one is let go")
 
 
+def test_a_killed_publisher_is_known_to_be_gone_while_its_last_words_may_still_come(net: BifrostNetwork) -> None:
+    peer = net.peer("publish", "lab/sample", "200")
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
+    assert subscriber.receive(timeout=10.0) is not None
+    assert len(subscriber.publishers) == 1
+    peer.kill()
+    killed = time.monotonic()
+    until(lambda: not subscriber.publishers, "the killed publisher is gone")
+    assert time.monotonic() - killed < 2.0  # well before its connections are given up
+
+
 def test_another_type_is_refused_and_both_are_named(net: BifrostNetwork) -> None:
     node = net.node("publisher")
     wrong, right = node.publisher("lab/sample", Other), node.publisher("lab/other", Sample)
