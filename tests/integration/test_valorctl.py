@@ -315,6 +315,12 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert moved["arrived"]
     assert abs(moved["worst_error_rad"]) < moved["tolerance_rad"]
     assert "motion_manager/motor" in ctl("topic", "list")
+    walked = json.loads(ctl("walk", "--vx", "0.3", "--for", "4", "--json"))
+    assert not walked["fell"]
+    assert 0.5 < walked["distance_m"] < 2.0
+    assert walked["mean_dcm_error_m"] < 0.03
+    assert "finite" in ctl("walk", "--vx", "nan", status=1)
+    assert json.loads(ctl("mode", "--json"))["control_mode"] == "stand_manipulate"
 
     program = "import os, rclpy; rclpy.init(); node = rclpy.create_node('peer'); print(os.environ['ROS_DOMAIN_ID'])\n"
     program += "from sensor_msgs.msg import JointState; heard = []\n"

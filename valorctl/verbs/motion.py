@@ -1,4 +1,4 @@
-"""``mode``, ``arm``, ``push``."""
+"""``mode``, ``arm``, ``walk``, ``push``."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ def register(app: typer.Typer) -> None:
     """Add the verbs."""
     app.command()(mode)
     app.command()(arm)
+    app.command()(walk)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
 
 
@@ -99,6 +100,36 @@ def arm(
         raise ValorError(f"{side} arm did not reach {preset}: {motion.describe()}")
     if not json:
         say(f"{side} arm in {preset} after {motion.duration:.1f} s; {motion.describe()}")
+
+
+def walk(
+    vx: Annotated[float, typer.Option("--vx", help="Forward [m/s].")] = 0.0,
+    vy: Annotated[float, typer.Option("--vy", help="To the left [m/s].")] = 0.0,
+    wz: Annotated[float, typer.Option("--wz", help="Turning to the left [rad/s].")] = 0.0,
+    seconds: Annotated[float, typer.Option("--for", min=0.1, help="Of robot time [s].")] = 5.0,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Walk at a velocity, stop, and say how far it went."""
+    from valorctl import status, walking
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with Interruption() as interruption:
+        result = walking.walk(instance, (vx, vy, wz), seconds, interruption.check)
+    if json:
+        say_json(
+            {
+                "distance_m": result.distance,
+                "duration_s": result.duration,
+                "fell": result.fell,
+                "reason": result.reason or None,
+                "mean_dcm_error_m": result.dcm_error,
+            }
+        )
+    if result.reason:
+        raise ValorError(f"walked {result.describe()}, then {result.reason}")
+    if not json:
+        say(f"walked {result.describe()}")
 
 
 def push(
