@@ -23,6 +23,7 @@ from valor_ros_controller.controllers.joint_trajectory_controller import (
 from valor_ros_controller.kinematic_tree import KinematicTree
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
 from valor_ros_controller.ros.control_mode_action import ControlModeAction
+from valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
 from valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
 from valor_ros_controller.ros.node import RosThread
@@ -97,6 +98,7 @@ class ValorRosController:
         self._publisher = Publisher(
             node, robot, tree, self._stamp, rate=rate, simulated=context.settings.profile != "hardware"
         )
+        self._bypass = ControllerBypass(node, context.node)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
         self._joint_faces = [
             JointTrajectoryAction(node, controllers.namespace, controller, self._stamp)
@@ -122,6 +124,7 @@ class ValorRosController:
                 self._publisher.publish(hw)
                 for face in self._joint_faces:
                     face.publish(hw)
+                self._bypass.update(self._controller.mode_controller.current, hw.time)
             self._mode_face.publish(hw.time)
             if began >= self._next_snapshot:
                 self._next_snapshot = began + SNAPSHOT_PERIOD

@@ -157,6 +157,34 @@ def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, no
     assert imu.messages[0].header.frame_id == "imu_link"
 
 
+def test_cmd_vel_walks_in_mode_walk_and_nowhere_else(ros: RosClient, node: bifrost.Node) -> None:
+    from geometry_msgs.msg import Twist
+
+    publisher = ros.node.create_publisher(Twist, "/cmd_vel", 1)
+    motion = node.subscriber(MOTION_STATE.name, MotionState)
+    twist = Twist()
+    twist.linear.x = 0.3
+    places: list[float] = []
+
+    def walked(distance: float) -> bool:
+        publisher.publish(twist)
+        state = motion.latest()
+        if state is not None:
+            assert state.message.behavior in ("stand", "walk"), state.message.reason
+            places.append(float(state.message.pelvis_position_in_odom[0]))
+        return bool(places) and places[-1] - places[0] > distance
+
+    go(ros, "stand")
+    for _ in range(20):
+        assert not walked(0.1)
+        time.sleep(0.02)
+    go(ros, "walk")
+    wait_until(lambda: walked(0.4), PATIENCE, "walking 0.4 m", period=0.02)
+    go(ros, "stand")
+    ros.node.destroy_publisher(publisher)
+    motion.close()
+
+
 def test_tf_odometry_and_clock(ros: RosClient) -> None:
     from nav_msgs.msg import Odometry
     from rosgraph_msgs.msg import Clock
