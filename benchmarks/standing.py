@@ -31,7 +31,7 @@ from valor_common.messages import GroundTruth, MotionState, Statistics
 from valor_common.topics import GROUND_TRUTH, MOTION_STATE, STATISTICS
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
-SAMPLE_PERIOD = 1.0  # of the CPU and memory of processes [s]
+SETTLING = 5.0  # from the servos' posture to the controller's, after `up` [s]
 
 
 @dataclass
@@ -77,9 +77,13 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
             last: dict[str, Statistics] = {}
             cpu: dict[str, list[float]] = defaultdict(list)
             memory: dict[str, list[float]] = defaultdict(list)
-            end = time.monotonic() + seconds
-            while time.monotonic() < end:
+            began = time.monotonic() + SETTLING
+            while (now := time.monotonic()) < began + seconds:
                 time.sleep(0.25)
+                if now < began:
+                    for subscriber in (states, truths, *statistics.values()):
+                        subscriber.drain()
+                    continue
                 ticks.extend(received.message.tick_time for received in states.drain())
                 truth.extend(received.message for received in truths.drain())
                 for service, subscriber in statistics.items():
@@ -118,7 +122,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--clocks", nargs="+", default=["lockstep", "realtime"], choices=["lockstep", "realtime"])
     arguments = parser.parse_args()
-    console = Console()
+    console = Console(width=150)
     runs: list[Run] = []
     with tempfile.TemporaryDirectory(prefix="valor-") as home:
         for clock in arguments.clocks:
