@@ -1,8 +1,8 @@
 """What standing costs: tick time, deadlines, real-time factor, CPU and memory of every process of a live system.
 
 Starts the whole system with ``valorctl up`` for each clock and seed (profile ``hardware``: the plant is not the
-controller's model), lets the robot stand, listens, and prints two tables. The load of the machine stands beside the numbers: on a shared
-machine medians can be trusted, the tails measure the neighbours.
+controller's model), lets the robot stand, listens, and prints two tables. The load of the machine stands beside the
+numbers: on a shared machine medians can be trusted, the tails measure the neighbours.
 
     .venv/bin/python benchmarks/standing.py [--seconds 60] [--seeds 0 1 2] [--clocks lockstep realtime]
 """
