@@ -57,6 +57,7 @@ lint: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python benchmarks/ipc.py
 	$(BIN)/python benchmarks/control.py
+	$(BIN)/python benchmarks/standing.py
 
 # Versions and hashes of all that is installed, from the bounds in pyproject.toml.
 lock:
