@@ -8,7 +8,7 @@ its axes.
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 from bifrost import Float64Array, Message, Uint8Array
 
@@ -184,13 +184,30 @@ class FootstepPlanReply(Message):
 # --- VRC out ------------------------------------------------------------------------------------------------------
 
 
+class ModeStatus(IntFlag):
+    """Flags of ``vigir_humanoid_control_msgs/ControlModeStatus``."""
+
+    NO_ERROR = 0
+    MODE_ACCEPTED = 1
+    MODE_REJECTED = 2
+    MODE_PREEMPTED = 4
+    MODE_PROCESSING = 8
+    MODE_DUPLICATE = 16
+    EXTERNAL_CHANGE = 32
+    ERR_UNKNOWN = 256
+    ERR_CONTROLLER_NOT_READY = 512
+    ERR_INVALID_BEHAVIOR_MODE = 1024
+    ERR_INVALID_TRANSITION = 2048
+    ERR_PRIOR_COMMAND_IN_PROGRESS = 4096
+
+
 class ControlModeReport(Message):
     """The VRC's control mode and how it came to it (the Bifrost twin of /flor/controller/mode)."""
 
     time: int
     requested_control_mode: str
     current_control_mode: str
-    status: int  # flags of vigir_humanoid_control_msgs/ControlModeStatus
+    status: int  # ModeStatus
     behavior: str  # of the Motion System, as last reported; empty: not heard
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import IntFlag
 
 import bifrost
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.messages import ControlModeReport
+from valor_common.messages import ControlModeReport, ModeStatus
 from valor_common.topics import CONTROL_MODE
 
 ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
@@ -18,26 +17,10 @@ CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
 _REPORT_TIMEOUT = 2.0  # reports come ten times a second [s]
 
 
-class Flag(IntFlag):
-    """``vigir_humanoid_control_msgs/ControlModeStatus.status``."""
-
-    MODE_ACCEPTED = 1
-    MODE_REJECTED = 2
-    MODE_PREEMPTED = 4
-    MODE_PROCESSING = 8
-    MODE_DUPLICATE = 16
-    EXTERNAL_CHANGE = 32
-    ERR_UNKNOWN = 256
-    ERR_CONTROLLER_NOT_READY = 512
-    ERR_INVALID_BEHAVIOR_MODE = 1024
-    ERR_INVALID_TRANSITION = 2048
-    ERR_PRIOR_COMMAND_IN_PROGRESS = 4096
-
-
 def flag_names(status: int) -> list[str]:
     """The flags set in a status, by name; bits that have none as hexadecimal."""
-    names = [flag.name for flag in Flag if status & flag and flag.name]
-    if rest := status & ~sum(Flag):
+    names = [flag.name for flag in ModeStatus if status & flag and flag.name]
+    if rest := status & ~sum(ModeStatus):
         names.append(f"0x{rest:x}")
     return names
 
@@ -55,14 +38,16 @@ class ModeChange:
     @property
     def reached(self) -> bool:
         """Whether the mode asked for is the current one now; also when it had been before."""
-        refused = self.status & (Flag.MODE_REJECTED | Flag.MODE_PREEMPTED)
+        refused = self.status & (ModeStatus.MODE_REJECTED | ModeStatus.MODE_PREEMPTED)
         return self.current == self.requested and not refused
 
     def describe(self) -> str:
         """One line."""
         flags = ", ".join(flag_names(self.status)) or "no flags"
         if self.reached:
-            word = "control mode was already" if self.status & Flag.MODE_DUPLICATE else "accepted: control mode is"
+            word = (
+                "control mode was already" if self.status & ModeStatus.MODE_DUPLICATE else "accepted: control mode is"
+            )
             return f"{word} {self.current} ({flags}; {self.latency * 1e3:.0f} ms)"
         because = f": {self.reason}" if self.reason else ""
         return f"control mode {self.requested} refused ({flags}){because}; it is {self.current or 'none'}"

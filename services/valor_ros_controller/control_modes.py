@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import IntFlag
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -13,23 +12,6 @@ from valor_common.errors import ConfigurationError
 
 T = TypeVar("T", bound=BaseModel)
 FILE = Path(__file__).with_name("control_modes.yaml")
-
-
-class ModeStatus(IntFlag):
-    """Flags of ``vigir_humanoid_control_msgs/ControlModeStatus``."""
-
-    NO_ERROR = 0
-    MODE_ACCEPTED = 1
-    MODE_REJECTED = 2
-    MODE_PREEMPTED = 4
-    MODE_PROCESSING = 8
-    MODE_DUPLICATE = 16
-    EXTERNAL_CHANGE = 32
-    ERR_UNKNOWN = 256
-    ERR_CONTROLLER_NOT_READY = 512
-    ERR_INVALID_BEHAVIOR_MODE = 1024
-    ERR_INVALID_TRANSITION = 2048
-    ERR_PRIOR_COMMAND_IN_PROGRESS = 4096
 
 
 class _Table(BaseModel):

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from valor_common.instance import Instance, Settings
+from valor_common.messages import ModeStatus
 from valorctl.__main__ import main
 from valorctl.app import app, hoist_instance
-from valorctl.control_mode import Flag, ModeChange, flag_names
+from valorctl.control_mode import ModeChange, flag_names
 from valorctl.environment import exports
 
 COMMAND = typer.main.get_command(app)
@@ -132,20 +133,23 @@ def test_mode_flags_have_names() -> None:
 
 
 def test_the_flags_are_those_of_the_message() -> None:
-    message = pytest.importorskip("vigir_humanoid_control_msgs.msg").ControlModeStatus
-    assert {flag.name: flag.value for flag in Flag} == {
-        name: getattr(message, name) for name in dir(message) if name.startswith(("MODE_", "ERR_", "EXTERNAL_"))
+    from vigir_humanoid_control_msgs.msg import ControlModeStatus
+
+    assert {flag.name: flag.value for flag in ModeStatus} == {
+        name: getattr(ControlModeStatus, name)
+        for name in dir(ControlModeStatus)
+        if name.startswith(("MODE_", "ERR_", "EXTERNAL_"))
     }
 
 
 @pytest.mark.parametrize(
     ("status", "current", "reached"),
     [
-        (Flag.MODE_ACCEPTED, "stand", True),
-        (Flag.MODE_DUPLICATE, "stand", True),
-        (Flag.MODE_ACCEPTED, "freeze", False),
-        (Flag.MODE_REJECTED | Flag.ERR_INVALID_TRANSITION, "stand_prep", False),
-        (Flag.MODE_REJECTED, "stand", False),
+        (ModeStatus.MODE_ACCEPTED, "stand", True),
+        (ModeStatus.MODE_DUPLICATE, "stand", True),
+        (ModeStatus.MODE_ACCEPTED, "freeze", False),
+        (ModeStatus.MODE_REJECTED | ModeStatus.ERR_INVALID_TRANSITION, "stand_prep", False),
+        (ModeStatus.MODE_REJECTED, "stand", False),
     ],
 )
 def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str, reached: bool) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from motion_manager.behaviors import OPERATIONAL, Behavior
+from valor_common.messages import ModeStatus
 from valor_common.robot import RobotDescription
 from valor_ros_controller.behavior_transition import (
     REPORT_TIMEOUT,
@@ -18,7 +19,7 @@ from valor_ros_controller.behavior_transition import (
     BehaviorTransition,
     TransitionState,
 )
-from valor_ros_controller.control_modes import ControlModeTable, ModeStatus
+from valor_ros_controller.control_modes import ControlModeTable
 from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 

@@ -7,8 +7,9 @@ import yaml
 
 from motion_manager.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, Behavior
 from valor_common.errors import ConfigurationError
+from valor_common.messages import ModeStatus
 from valor_common.robot import RobotDescription
-from valor_ros_controller.control_modes import FILE, ControlModeTable, ModeStatus
+from valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP
 from valor_ros_controller.controllers.joint_trajectory_controller import ControllersTable
 from valor_ros_controller.trajectory import ErrorCode

@@ -14,8 +14,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
+from valor_common.messages import ModeStatus
 from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
-from valor_ros_controller.control_modes import ControlModeTable, ModeStatus
+from valor_ros_controller.control_modes import ControlModeTable
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("control_mode_controller")
