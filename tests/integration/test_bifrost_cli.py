@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import numpy as np
@@ -92,20 +93,21 @@ def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
-    os.set_blocking(process.stdout.fileno(), False)
+    output = process.stdout
+    assert output is not None
     lines: list[str] = []
+    reader = threading.Thread(target=lambda: lines.extend(output))
+    reader.start()
 
     def echoed() -> bool:
         publisher.publish(message)
-        assert process.stdout is not None
-        lines.extend(process.stdout.readlines())
         return len(lines) >= 3
 
     until(echoed, "three messages are echoed", 30.0)
     process.send_signal(signal.SIGINT)
     assert process.wait(10) == 0  # interrupting is how it ends
-    process.stdout.close()
+    reader.join(10.0)
+    output.close()
     assert json.loads(lines[0], parse_constant=pytest.fail)["message"]["values"] == [None, None, 1.0]
 
 
