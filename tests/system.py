@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import re
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -147,9 +148,19 @@ class RosClient:
     def _run(self, client: Any, goal: Any, timeout: float) -> Any:
         name = client._action_name
         assert client.wait_for_server(timeout_sec=timeout), f"no action server {name}"
-        handle = self._wait(client.send_goal_async(goal), timeout, f"{name} to answer the goal")
+        handle = self._wait(self._call(client.send_goal_async, goal), timeout, f"{name} to answer the goal")
         assert handle.accepted, f"{name} rejected the goal without a result"
-        return self._wait(handle.get_result_async(), timeout, f"{name} to end")
+        return self._wait(self._call(handle.get_result_async), timeout, f"{name} to end")
+
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call in the executor's thread.
+
+        An action client notes what it has sent after sending it: an answer that another thread takes in between is
+        thrown away as unexpected.
+        """
+        answer: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._executor.create_task(lambda: answer.put(function(*arguments)))
+        return answer.get(timeout=30.0)
 
     @staticmethod
     def _wait(future: Any, timeout: float, what: str) -> Any:
