@@ -103,6 +103,43 @@ def test_a_swing_has_the_derivatives_it_claims(time: float) -> None:
     np.testing.assert_allclose(turned, here.velocity[3:], atol=1e-4)
 
 
+@given(
+    st.floats(0.02, 0.55), st.floats(0.05, 0.5), places, places, st.floats(-0.5, 0.5), st.floats(0.0, 0.1)
+)  # fmt: skip
+def test_a_retargeted_swing_goes_on_without_a_jump(
+    time: float, left: float, x: float, y: float, yaw: float, z: float
+) -> None:
+    swing = SwingTrajectory(
+        FEET[0], SolePose(np.array([0.4, 0.12, 0.0]), rotation.yaw_matrix(0.3)),
+        height=0.06, duration=0.6, depth=0.003, descent=0.05,
+    )  # fmt: skip
+    for _ in range(2):  # the second one begins from a swing that is none from rest
+        before = swing.at(time)
+        swing.retarget(time, level_pose(x, y, z, yaw), time + left)
+        after = swing.at(time)
+        np.testing.assert_allclose(after.position, before.position, atol=1e-9)
+        np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-9)
+        np.testing.assert_allclose(after.velocity, before.velocity, atol=1e-9)
+        np.testing.assert_allclose(after.acceleration, before.acceleration, atol=1e-7)
+        end = swing.at(time + left - 1e-9)
+        np.testing.assert_allclose(end.position, [x, y, z - 0.003], atol=1e-6)
+        np.testing.assert_allclose(end.rotation, rotation.yaw_matrix(yaw), atol=1e-6)
+        np.testing.assert_allclose(end.velocity, 0.0, atol=1e-4)
+        time, left, x = time + 0.4 * left, 0.5 * left, x - 0.1
+
+
+@given(st.floats(0.05, 0.55))
+def test_a_retarget_to_the_same_target_changes_nothing(time: float) -> None:
+    target = SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3))
+    first, second = (
+        SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05) for _ in range(2)
+    )
+    second.retarget(time, target, 0.6)
+    for t in np.linspace(time, 0.7, 20):
+        np.testing.assert_allclose(second.at(t).position, first.at(t).position, atol=1e-3)
+        np.testing.assert_allclose(second.at(t).velocity, first.at(t).velocity, atol=0.02)
+
+
 def test_reach_is_told_by_step_quantity_and_limit(robot: RobotDescription) -> None:
     limits = robot.tables.footsteps
     assert limits is not None

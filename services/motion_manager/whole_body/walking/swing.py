@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.reference import minimum_jerk
 
 FloatArray = npt.NDArray[np.float64]
+
+SHORTEST_RISE = 0.01  # to the apex; with less left the foot goes down from where it is [s]
 
 
 @dataclass(slots=True)
@@ -31,8 +32,53 @@ class SwingPoint:
     acceleration: FloatArray  # (6,) [m/s², rad/s²]
 
 
+class Quintic:
+    """The polynomial of fifth degree from a motion (position, velocity, acceleration) to rest elsewhere.
+
+    From rest it is the minimum-jerk way (Flash & Hogan 1985).
+    """
+
+    def __init__(self, begin: FloatArray, end: FloatArray, began: float, duration: float) -> None:
+        """Plan.
+
+        Args:
+            begin: (3, k) position, velocity, acceleration at ``began``.
+            end: (k,) position, where it comes to rest.
+            began: [s].
+            duration: above 0 [s].
+        """
+        self._began, self.ends = began, began + duration
+        t = duration
+        position, velocity, acceleration = begin
+        way = end - position - (velocity + 0.5 * t * acceleration) * t
+        change = -(velocity + acceleration * t) * t
+        bend = -acceleration * (t * t)
+        self._coefficients = np.stack(
+            (
+                position,
+                velocity,
+                0.5 * acceleration,
+                (10.0 * way - 4.0 * change + 0.5 * bend) / t**3,
+                (-15.0 * way + 7.0 * change - bend) / t**4,
+                (6.0 * way - 3.0 * change + 0.5 * bend) / t**5,
+            )
+        )
+
+    def at(self, time: float) -> FloatArray:
+        """(3, k) position, velocity and acceleration at ``time`` [s], from ``began`` to ``ends``."""
+        t = min(time, self.ends) - self._began
+        t2, t3 = t * t, t * t * t
+        powers = (
+            (1.0, t, t2, t3, t2 * t2, t2 * t3),
+            (0.0, 1.0, 2.0 * t, 3.0 * t2, 4.0 * t3, 5.0 * t2 * t2),
+            (0.0, 0.0, 2.0, 6.0 * t, 12.0 * t2, 20.0 * t3),
+        )
+        result: FloatArray = np.array(powers) @ self._coefficients
+        return result
+
+
 class SwingTrajectory:
-    """From rest to rest: minimum jerk in the plane and in orientation, two minimum-jerk halves in height."""
+    """From rest to rest: quintics in the plane and in orientation, and two, up and down, in height."""
 
     def __init__(
         self, start: SolePose, target: SolePose, *, height: float, duration: float, depth: float, descent: float
@@ -47,31 +93,52 @@ class SwingTrajectory:
             depth: below the target, that the foot is led to [m].
             descent: speed at which it goes on down afterwards [m/s].
         """
-        self._start, self._duration, self._descent = start, duration, descent
-        self._way: FloatArray = target.position - start.position
-        self._turn = rotation.rotation_vector(target.rotation @ start.rotation.T)
+        self._depth, self._descent = depth, descent
         self._apex = max(float(start.position[2]), float(target.position[2])) + height
-        self._end = float(target.position[2]) - depth
+        self._apex_time = 0.5 * duration
+        motion = np.zeros((3, 6))
+        motion[0, :3] = start.position
+        self._plan(motion, start.rotation, target, 0.0, duration)
+
+    def retarget(self, time: float, target: SolePose, duration: float) -> None:
+        """Go elsewhere, or be there at another time: from where the reference is, without a jump.
+
+        Position, velocity and acceleration go on; the way to the apex takes its share of the time that is left.
+
+        Args:
+            time: now, since the start [s].
+            target: of the sole.
+            duration: of the whole swing, later than now [s].
+        """
+        point = self.at(time)
+        motion = np.empty((3, 6))
+        motion[0, :3], motion[0, 3:], motion[1], motion[2] = point.position, 0.0, point.velocity, point.acceleration
+        left = self._horizontal.ends - time
+        if left > 0.0:
+            self._apex_time = time + (self._apex_time - time) * (duration - time) / left
+        self._plan(motion, point.rotation, target, time, duration)
+
+    def _plan(self, motion: FloatArray, start: FloatArray, target: SolePose, time: float, duration: float) -> None:
+        """From ``motion`` (3, 6) at ``time``; its angles are a rotation vector from ``start`` (3, 3)."""
+        end = np.empty(6)
+        end[:3], end[3:] = target.position, rotation.rotation_vector(target.rotation @ start.T)
+        end[2] -= self._depth
+        self._start, self._horizontal = start, Quintic(motion, end, time, duration - time)
+        self._vertical: list[Quintic] = []
+        height = motion[:, 2:3]
+        if self._apex_time - time > SHORTEST_RISE:
+            apex = np.array((self._apex,))
+            self._vertical.append(Quintic(height, apex, time, self._apex_time - time))
+            height, time = np.array((apex, (0.0,), (0.0,))), self._apex_time
+        self._vertical.append(Quintic(height, end[2:3], time, duration - time))
 
     def at(self, time: float) -> SwingPoint:
         """The reference at ``time`` [s] since the start."""
-        s, rate, change = minimum_jerk(time, self._duration)
-        position = self._start.position + s * self._way
-        velocity, acceleration = np.empty(6), np.empty(6)
-        velocity[:3], velocity[3:] = rate * self._way, rate * self._turn
-        acceleration[:3], acceleration[3:] = change * self._way, change * self._turn
-        position[2], velocity[2], acceleration[2] = self._height(time)
-        turned = rotation.from_rotation_vector(s * self._turn) @ self._start.rotation
-        return SwingPoint(position, turned, velocity, acceleration)
-
-    def _height(self, time: float) -> tuple[float, float, float]:
-        """[m], [m/s], [m/s²]."""
-        half = 0.5 * self._duration
-        if time >= self._duration:
-            return self._end - self._descent * (time - self._duration), -self._descent, 0.0
-        begin, end = float(self._start.position[2]), self._apex
-        if time >= half:
-            begin, end = self._apex, self._end
-            time -= half
-        s, rate, change = minimum_jerk(time, half)
-        return begin + s * (end - begin), rate * (end - begin), change * (end - begin)
+        motion = self._horizontal.at(time)
+        if time >= self._horizontal.ends:
+            motion[:, 2] = (motion[0, 2] - self._descent * (time - self._horizontal.ends), -self._descent, 0.0)
+        else:
+            piece = self._vertical[0] if time < self._vertical[0].ends else self._vertical[-1]
+            motion[:, 2] = piece.at(time)[:, 0]
+        turned = rotation.from_rotation_vector(motion[0, 3:]) @ self._start
+        return SwingPoint(motion[0, :3], turned, motion[1], motion[2])
