@@ -1,13 +1,14 @@
 """``motion_manager/footstep_plan``: footstep plans, checked whole, admitted where the Locomotion FSM steps.
 
-The rules are those of vigir_step_control: with an empty queue a plan starts with step 0, otherwise with a queued step
-that can still be changed; a plan without steps stops after the step that is being taken.
+The rules are those of vigir_step_control: without a plan a plan starts with step 0, otherwise with a step that can still
+be changed, or with the one behind the last; a plan without steps stops after the step that is being taken, feet
+together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
+from math import hypot, isfinite
 
 import numpy as np
 
@@ -15,14 +16,16 @@ from motion_manager.behavior_fsm import BehaviorFsm
 from motion_manager.behaviors import Locomotion
 from motion_manager.rejections import Rejections
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.walking.footsteps import FEET, Step, reach_refusal
+from motion_manager.whole_body.walking.footsteps import FEET, LEFT, Step, reach_refusal
 from motion_manager.whole_body.walking.step_queue import StepQueue
 from motion_manager.whole_body.walking.swing import SolePose
 from valor_common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, StepStatus
 from valor_common.robot import RobotDescription
+from valor_common.soles import outline, overlap
 from valor_common.topics import FOOTSTEP_PLAN
 
 NORM = 1e-3  # most that a quaternion's norm may be off
+TOGETHER = (0.02, 0.05)  # feet so well side by side are together [m, rad]
 
 
 class PlanError(Exception):
@@ -50,6 +53,7 @@ class FootstepPlanHandler:
             soles: gives where the left and right sole are; asked in Step alone.
         """
         self._limits, self._walking = robot.tables.footsteps, robot.tables.walking
+        self._feet = (robot.tables.feet.left, robot.tables.feet.right)
         self._fsm = fsm
         self._queue = queue
         self._rejections = rejections
@@ -79,7 +83,7 @@ class FootstepPlanHandler:
             queue_size=len(queue.steps),
             last_performed_step_index=queue.last_performed,
             executing_step_index=queue.executing.index if queue.executing else -1,
-            first_changeable_step_index=queue.steps[0].index if queue.steps else -1,
+            first_changeable_step_index=queue.first_changeable,
         )
 
     def _take(self, asked: list[Footstep], origin: str) -> None:
@@ -89,25 +93,27 @@ class FootstepPlanHandler:
                 f"the behavior is {self._fsm.behavior}"
             )
         if not asked:
-            self._queue.stop(f"stopped by {origin}")
+            self._queue.stop(f"stopped by {origin}", self._closing())
             return
         if self._limits is None:
             raise PlanError("the robot takes no footstep plans: its robot.yaml has no table footsteps")
         if len(asked) > self._limits.max_steps:
             raise PlanError(f"{len(asked)} steps; expected at most {self._limits.max_steps}")
+        if self._queue.stopping:
+            raise PlanError(f"the plan that runs is ending ({self._queue.reason}); send another once the robot stands")
         steps = [self._step(step) for step in asked]
         before = self._before(steps[0])
+        other = before.sole if before is not None else self._soles()[1 - steps[0].foot]
         for step in steps:
             if before is not None:
                 if step.index != before.index + 1:
                     raise PlanError(f"step {step.index} follows step {before.index}; expected step {before.index + 1}")
                 if step.foot == before.foot:
                     raise PlanError(f"step {step.index} is of the {FEET[step.foot]} foot, as is the one before it")
-            other = before.sole if before is not None else self._soles()[1 - step.foot]
-            if reason := reach_refusal(step, other, self._limits):
+            if reason := self._refusal(step, other):
                 raise PlanError(reason)
-            before = step
-        if self._queue.steps:
+            before, other = step, step.sole
+        if self._queue.running:
             self._queue.update(steps)
         else:
             self._queue.begin(steps)
@@ -118,16 +124,56 @@ class FootstepPlanHandler:
         Raises:
             PlanError: the plan cannot begin with this step now.
         """
-        queued, executing = self._queue.steps, self._queue.executing
-        if not queued and executing is None:
+        queue = self._queue
+        if not queue.running:
             if first.index != 0:
                 raise PlanError(f"a plan begins with step 0; this one with step {first.index}")
             return None
-        for before, step in zip([executing, *queued], queued, strict=False):
-            if step.index == first.index:
+        taken = queue.executing or queue.last
+        known = [taken, *queue.steps] if taken else list(queue.steps)
+        changeable = queue.first_changeable
+        if taken is None and first.index == changeable:
+            return None  # all of a plan that has not begun
+        for before in known:
+            if first.index == before.index + 1 >= changeable:
                 return before
-        changeable = f"steps {queued[0].index} to {queued[-1].index}" if queued else "none"
-        raise PlanError(f"step {first.index} cannot be changed now; changeable: {changeable}")
+        raise PlanError(
+            f"step {first.index} cannot be changed now; a plan may go on otherwise from step {changeable}, "
+            f"at the latest from step {known[-1].index + 1}"
+        )
+
+    def _refusal(self, step: Step, other: SolePose) -> str:
+        """Why a step cannot be taken while the other foot stands at ``other``; an empty text: it can."""
+        assert self._limits is not None
+        if reason := reach_refusal(step, other, self._limits):
+            return reason
+        own = outline(step.sole.position, step.sole.rotation, self._feet[step.foot])
+        if overlap(own, outline(other.position, other.rotation, self._feet[1 - step.foot])):
+            return f"step {step.index} ({FEET[step.foot]}) would stand on the {FEET[1 - step.foot]} foot"
+        return ""
+
+    def _closing(self) -> Step | None:
+        """The step beside the one that is being taken; None: none is, or the feet will be side by side anyway."""
+        last = self._queue.executing
+        if last is None or self._limits is None:
+            return None
+        foot, walking = 1 - last.foot, self._walking
+        aside = walking.step_width if foot == LEFT else -walking.step_width
+        place = last.sole.position + last.sole.rotation @ np.array((0.0, aside, 0.0))
+        step = Step(
+            last.index + 1,
+            foot,
+            SolePose(place, last.sole.rotation),
+            walking.swing_height,
+            walking.swing_duration,
+            walking.transfer_duration,
+        )
+        stands = self._soles()[foot]
+        way = place - stands.position
+        turn = rotation.yaw(last.sole.rotation @ stands.rotation.T)
+        if hypot(float(way[0]), float(way[1])) < TOGETHER[0] and abs(turn) < TOGETHER[1]:
+            return None
+        return None if self._refusal(step, last.sole) else step
 
     def _step(self, asked: Footstep) -> Step:
         """One step, checked by itself, with the robot's own values where it leaves them open."""

@@ -1,0 +1,198 @@
+"""Footstep plans at the Motion Manager: taken whole or not at all, changed where they can be, stopped feet together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from motion_manager.behavior_fsm import BehaviorFsm
+from motion_manager.behaviors import Behavior
+from motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from motion_manager.rejections import Rejections
+from motion_manager.whole_body.walking.footsteps import Step, level_pose
+from motion_manager.whole_body.walking.step_queue import StepQueue
+from motion_manager.whole_body.walking.swing import SolePose
+from tests.conftest import ROBOTS
+from valor_common.messages import Footstep, FootstepPlanRequest, StepStatus
+from valor_common.robot import RobotDescription
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+
+
+class Bench:
+    """Handler and queue, and in the gait's place a walker that takes each step exactly."""
+
+    def __init__(self) -> None:
+        self.fsm = BehaviorFsm()
+        for behavior in (Behavior.STAND_PREP, Behavior.STAND, Behavior.STEP):
+            self.fsm.go(behavior, "test")
+        self.queue = StepQueue()
+        self.soles = [level_pose(0.0, 0.1, 0.0, 0.0), level_pose(0.0, -0.1, 0.0, 0.0)]
+        self.rejections = Rejections()
+        self.handler = FootstepPlanHandler(ROBOT, self.fsm, self.queue, self.rejections, lambda: self.soles)
+        self.taken: list[Step] = []
+        self.walking = False
+
+    def send(self, steps: list[Footstep]) -> str:
+        """The reason of a refusal; an empty text: taken."""
+        before = (list(self.queue.steps), self.queue.executing, self.queue.state, self.queue.changes)
+        reply = self.handler.handle(FootstepPlanRequest(steps=steps), "somebody")
+        if not reply.accepted:
+            assert reply.reason
+            assert (list(self.queue.steps), self.queue.executing, self.queue.state, self.queue.changes) == before
+        return reply.reason
+
+    @property
+    def status(self) -> StepStatus:
+        return self.handler.status(0)
+
+    @property
+    def indices(self) -> tuple[int, int, int]:
+        status = self.status
+        return status.last_performed_step_index, status.executing_step_index, status.first_changeable_step_index
+
+    def go_on(self) -> bool:
+        """To the gait's next event: the first or next transfer, or rest. Whether it still walks."""
+        queue = self.queue
+        if queue.executing is not None:
+            step = queue.executing
+            self.soles[step.foot] = step.sole
+            self.taken.append(step)
+            queue.ended(step)
+        elif self.walking and not queue.steps:
+            queue.rested()
+            self.walking = False
+            return False
+        steps = queue.upcoming(self.soles)
+        if steps:
+            self.walking = True
+            queue.began(steps[0])
+        return self.walking
+
+    def finish(self) -> None:
+        while self.go_on():
+            pass
+
+
+def ahead(first: int, count: int, length: float = 0.2, x: float | None = None) -> list[Footstep]:
+    """Steps straight ahead; step i ends at (i + 1)·length."""
+    return [
+        footstep(i, i % 2, (length * (i + 1) if x is None else x + length * (i - first + 1)), 0.1 - 0.2 * (i % 2))
+        for i in range(first, first + count)
+    ]
+
+
+def footstep(index: int, foot: int, x: float, y: float, yaw: float = 0.0, **more: float) -> Footstep:
+    values = {"swing_height": 0.0, "swing_duration": 0.0, "transfer_duration": 0.0} | more
+    orientation = np.array((np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)))
+    return Footstep(index, foot, np.array((x, y, 0.0)), orientation, **values)
+
+
+def test_indices_never_go_back() -> None:
+    bench = Bench()
+    assert bench.indices == (-1, -1, -1)
+    assert not bench.send(ahead(0, 3))
+    seen = [bench.indices]
+    while bench.go_on():
+        seen.append(bench.indices)
+    assert seen == [(-1, -1, 0), (-1, 0, 1), (0, 1, 2), (1, 2, 3), (2, -1, 3)]
+    assert (bench.status.state, bench.status.reason, bench.indices) == ("finished", "", (2, -1, -1))
+    assert bench.queue.take_finished()
+
+
+@pytest.mark.parametrize("events", [3, 4])
+def test_goes_on_behind_the_last_step_while_it_is_taken_and_until_it_is_at_rest(events: int) -> None:
+    bench = Bench()
+    assert not bench.send(ahead(0, 3))
+    for _ in range(events):
+        assert bench.go_on()
+    assert "step 0 cannot be changed now; a plan may go on otherwise from step 3" in bench.send(ahead(0, 2))
+    assert "step 4 cannot be changed" in bench.send(ahead(4, 2))
+    assert "is of the left foot" in bench.send([footstep(3, 0, 0.7, 0.1)])
+    assert not bench.send(ahead(3, 2))
+    bench.finish()
+    assert [step.index for step in bench.taken] == [0, 1, 2, 3, 4]
+    assert bench.status.state == "finished"
+
+
+def test_a_plan_that_has_not_begun_can_change_as_a_whole() -> None:
+    bench = Bench()
+    assert not bench.send(ahead(0, 3))
+    assert not bench.send(ahead(0, 2, length=0.1))
+    bench.finish()
+    assert [float(step.sole.position[0]) for step in bench.taken] == [0.1, 0.2]
+
+
+def test_a_stop_brings_the_feet_together() -> None:
+    bench = Bench()
+    assert not bench.send([footstep(i, i % 2, 0.2 * (i + 1), 0.1 - 0.2 * (i % 2), yaw=0.1) for i in range(6)])
+    bench.go_on()
+    bench.go_on()
+    assert bench.status.executing_step_index == 1
+    assert not bench.send([])
+    assert not bench.send([])  # again: no other
+    assert "is ending (stopped by somebody)" in bench.send(ahead(2, 2))
+    assert bench.indices == (0, 1, -1)
+    bench.finish()
+    assert [step.index for step in bench.taken] == [0, 1, 2]
+    left, right = bench.soles
+    way = right.rotation.T @ (left.position - right.position)
+    np.testing.assert_allclose(way, (0.0, ROBOT.tables.walking.step_width, 0.0), atol=1e-12)
+    np.testing.assert_allclose(left.rotation, right.rotation)
+    assert (bench.status.state, bench.status.reason) == ("finished", "stopped by somebody")
+
+
+def test_a_stop_takes_no_step_more_where_the_feet_come_together_anyway() -> None:
+    bench = Bench()
+    assert not bench.send([footstep(0, 0, 0.2, 0.1), footstep(1, 1, 0.2, -0.1), *ahead(2, 3, x=0.2)])
+    bench.go_on()
+    bench.go_on()
+    assert not bench.send([])
+    bench.finish()
+    assert [step.index for step in bench.taken] == [0, 1]
+
+
+def test_a_stop_of_a_plan_that_has_not_begun_ends_it() -> None:
+    bench = Bench()
+    assert not bench.send(ahead(0, 3))
+    assert not bench.send([])
+    assert not bench.go_on()
+    assert (bench.status.state, bench.taken) == ("finished", [])
+    assert bench.queue.take_finished()
+
+
+def test_a_stop_during_the_last_step_has_nothing_left_to_stop() -> None:
+    bench = Bench()
+    assert not bench.send(ahead(0, 2))
+    bench.go_on()
+    bench.go_on()
+    assert not bench.send([])
+    bench.finish()
+    assert (bench.status.state, bench.status.reason) == ("finished", "")
+
+
+def test_no_foot_on_the_other() -> None:
+    """As wide as is allowed, and yet toe on toe: turned inwards."""
+    bench = Bench()
+    narrow = -0.1 + ROBOT.tables.footsteps.min_width + 0.001  # type: ignore[union-attr]
+    assert "step 0 (left) would stand on the right foot" in bench.send([footstep(0, 0, 0.0, narrow, yaw=-0.5)])
+    assert not bench.send([footstep(0, 0, 0.0, narrow)])
+
+
+def test_only_in_step() -> None:
+    bench = Bench()
+    bench.fsm.go(Behavior.STAND, "test")
+    assert "the behavior is stand" in bench.send(ahead(0, 3))
+    assert "the behavior is stand" in bench.send([])
+    assert bench.rejections.total == 2
+
+
+def test_steps_that_are_taken_are_where_the_plan_says() -> None:
+    bench = Bench()
+    plan = ahead(0, 4)
+    assert not bench.send(plan)
+    bench.finish()
+    for step, asked in zip(bench.taken, plan, strict=True):
+        assert isinstance(step.sole, SolePose)
+        np.testing.assert_array_equal(step.sole.position, asked.position_in_odom)
+        assert step.swing_duration == ROBOT.tables.walking.swing_duration
