@@ -1,7 +1,7 @@
 """``motion_manager/footstep_plan``: footstep plans, checked whole, admitted where the Locomotion FSM steps.
 
-The rules are those of vigir_step_control: without a plan a plan starts with step 0, otherwise with a step that can still
-be changed, or with the one behind the last; a plan without steps stops after the step that is being taken, feet
+The rules are those of vigir_step_control: where none runs a plan starts with step 0, otherwise with a step that can
+still be changed, or with the one behind the last; a plan without steps stops after the step that is being taken, feet
 together.
 """
 
