@@ -6,6 +6,7 @@ written before is read all the same.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
@@ -120,6 +121,17 @@ class Bag:
     def topics(self) -> dict[str, str]:
         """Topics with messages, and their ROS types."""
         return {channel.topic: schema.name for channel, schema, _ in self._records(None)}
+
+    @cached_property
+    def origin(self) -> dict[str, str]:
+        """What the recorder noted of the system: robot, world, seed, …; empty in a bag of another recorder."""
+        with open(self.path, "rb") as file, contextlib.suppress(McapError, ValueError, KeyError, OverflowError):
+            for record in StreamReader(file).records:
+                if isinstance(record, Metadata) and record.name == "valor":
+                    return dict(record.metadata)
+                if isinstance(record, Message):  # it stands before all
+                    break
+        return {}
 
     def __contains__(self, topic: str) -> bool:
         return topic in self._series or topic in self.topics

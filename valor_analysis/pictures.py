@@ -45,7 +45,7 @@ def render_before_after(
     before_time, after_time = times or _before_and_after(recording)
     before, after = recording.posture(before_time), recording.posture(after_time)
     width, height = PANEL
-    with closing(Scene(robot, width, height)) as scene:
+    with closing(Scene(robot, width, height, *recording.world)) as scene:
         look_at = (before.pelvis_position + after.pelvis_position) / 2.0
         scene.look_at(np.array([look_at[0], look_at[1], 0.90]))
         images = [scene.draw(before), scene.draw(after)]

@@ -36,6 +36,12 @@ class Recording:
         self.bag = bag
         self.robot = robot
 
+    @property
+    def world(self) -> tuple[str, int]:
+        """Name and seed of the world that the robot was simulated in; a flat one if the bag does not say."""
+        origin = self.bag.origin
+        return origin.get("world", "flat"), int(origin.get("seed", "0"))
+
     def series(self, topic: Topic) -> Series:
         """All messages of a Bifrost topic."""
         return self.bag[recorded(topic)]

@@ -1,4 +1,4 @@
-"""The robot on a floor, in good light, drawn off screen."""
+"""The robot in its world, in good light, drawn off screen."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ import numpy.typing as npt
 
 from valor_analysis.offscreen import Image, Offscreen
 from valor_analysis.recording import Posture
+from valor_common import worlds
 from valor_common.model import Model, robot_spec
 from valor_common.robot import RobotDescription
 
+_EXTENT = 2.0  # of what is looked at, whatever the world's: haze, shadows and clipping follow it [m]
+_SUN = (2.5, -1.7, 3.5)  # from where it shines, seen from below the point looked at [m]
 _SUPERSAMPLING = 2  # drawn this much larger, then averaged: edges without steps
 
 
-def scene_spec(robot: RobotDescription, width: int, height: int) -> mujoco.MjSpec:
-    """The robot in a studio: light floor, plain sky, one sun with shadows and a fill."""
+def scene_spec(robot: RobotDescription, width: int, height: int, world: str, seed: int) -> mujoco.MjSpec:
+    """The robot and its world in a studio: plain sky, one sun with shadows and a fill."""
     spec = robot_spec(robot, "all")
     spec.visual.global_.offwidth = width
     spec.visual.global_.offheight = height
@@ -36,25 +39,12 @@ def scene_spec(robot: RobotDescription, width: int, height: int) -> mujoco.MjSpe
         width=256,
         height=1536,
     )
-    spec.add_texture(
-        name="studio_floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=[0.80, 0.82, 0.84],
-        rgb2=[0.80, 0.82, 0.84],
-        markrgb=[0.66, 0.69, 0.72],
-        width=512,
-        height=512,
-    )
-    floor = spec.add_material(name="studio_floor", texrepeat=[2, 2], texuniform=True)
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "studio_floor"
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="studio_floor", contype=0, conaffinity=0
-    )
+    spec.stat.extent = _EXTENT
+    spec.attach(worlds.load(world, seed), frame=spec.worldbody.add_frame(), prefix="world/")
     spec.worldbody.add_light(
+        name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[2.5, -1.7, 3.5],
+        pos=_SUN,
         dir=[-0.75, 0.5, -1.0],
         diffuse=[0.75, 0.74, 0.72],
         specular=[0.3, 0.3, 0.3],
@@ -72,27 +62,37 @@ def scene_spec(robot: RobotDescription, width: int, height: int) -> mujoco.MjSpe
 
 
 class Scene:
-    """Draws one robot, posture by posture, from a fixed camera.
+    """Draws one robot in its world, posture by posture.
 
     Raises:
         RenderingError: there is no off-screen OpenGL here; names what to install.
+        ConfigurationError: there is no such world.
     """
 
-    def __init__(self, robot: RobotDescription, width: int, height: int) -> None:
+    def __init__(self, robot: RobotDescription, width: int, height: int, world: str = "flat", seed: int = 0) -> None:
         large = (width * _SUPERSAMPLING, height * _SUPERSAMPLING)
-        self._model = Model(robot, scene_spec(robot, *large).compile())
+        self._model = Model(robot, scene_spec(robot, *large, world, seed).compile())
         self._data = mujoco.MjData(self._model.mj)
         self._offscreen = Offscreen(self._model.mj, *large)
         self._camera = mujoco.MjvCamera()
-        self._camera.azimuth, self._camera.elevation, self._camera.distance = 148.0, -8.0, 2.62
+        self._sun = self._model.mj.light("sun").id
 
     def close(self) -> None:
         """Give the graphics memory back."""
         self._offscreen.close()
 
-    def look_at(self, point: npt.NDArray[np.float64]) -> None:
-        """Turn the camera to a point (3,) in world [m]."""
+    def look_at(
+        self,
+        point: npt.NDArray[np.float64],
+        azimuth: float = 148.0,
+        elevation: float = -8.0,
+        distance: float = 2.62,
+    ) -> None:
+        """Turn the camera to a point (3,) in world [m], from a direction [degrees] and a distance [m]."""
         self._camera.lookat[:] = point
+        # MuJoCo draws shadows near the lamp alone.
+        self._model.mj.light_pos[self._sun] = (*(point[:2] + _SUN[:2]), _SUN[2])
+        self._camera.azimuth, self._camera.elevation, self._camera.distance = azimuth, elevation, distance
 
     def draw(self, posture: Posture) -> Image:
         """(height, width, 3) the robot in a posture."""

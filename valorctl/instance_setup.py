@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bifrost
+from valor_common import worlds
 from valor_common.errors import ConfigurationError, ValorError
 from valor_common.instance import ClockMode, Instance, Settings
 from valor_common.resources import profile_file, robot_folder
@@ -68,6 +69,7 @@ def plan(request: Request) -> Plan:
         bag=_bag(request.bag),
     )
     _expect("--actuators", settings.actuators, tuple(robot.tables.actuators))
+    worlds.check(settings.world, "--world")
     initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
     return Plan(profile, settings, initial_mode or None)
 

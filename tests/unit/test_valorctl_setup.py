@@ -159,6 +159,7 @@ def test_options_go_before_the_profile() -> None:
         (Request(robot="atlas"), "robot 'atlas'.*escher"),
         (Request(robot="/nowhere"), "robot '/nowhere'"),
         (Request(actuators="magic"), "--actuators 'magic'.*ideal"),
+        (Request(world="moon"), "--world 'moon'.*flat, dirt, stairs, stairs_15cm, rubble"),
         (Request(bag=Path("/")), "--bag"),
     ],
 )

@@ -27,7 +27,9 @@ def up(
     clock: Annotated[ClockMode | None, typer.Option(help="How simulated time runs.")] = None,
     actuators: Annotated[str | None, typer.Option(help="A profile of robot.yaml: ideal, hardware.")] = None,
     seed: Annotated[int | None, typer.Option(help="Of all that is random in the simulation.")] = None,
-    world: Annotated[str | None, typer.Option(help="Where the robot stands.")] = None,
+    world: Annotated[
+        str | None, typer.Option(help="Where the robot stands: flat, dirt, stairs, stairs_15cm, rubble.")
+    ] = None,
     rtf: Annotated[
         float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
     ] = None,

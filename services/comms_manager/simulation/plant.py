@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from comms_manager.simulation import worlds
 from comms_manager.simulation.actuators import Actuators
+from valor_common import worlds
 from valor_common.errors import ConfigurationError, ValorError
 from valor_common.model import Model, Shapes, robot_spec
 from valor_common.robot import RobotDescription
@@ -21,15 +21,14 @@ class SimulationDivergedError(ValorError):
     """The physics gave numbers that are not finite."""
 
 
-def scene(robot: RobotDescription, world: str, shapes: Shapes) -> mujoco.MjSpec:
-    """A robot in a world, not compiled.
+def scene(robot: RobotDescription, world: str, seed: int, shapes: Shapes) -> mujoco.MjSpec:
+    """A robot in a world made from a seed, not compiled.
 
     Raises:
         ConfigurationError: no such world, or the robot's files are wrong.
     """
-    spec, surroundings = robot_spec(robot, shapes), worlds.load(world)
+    spec, surroundings = robot_spec(robot, shapes), worlds.load(world, seed)
     surroundings.option = spec.option
-    spec.visual = surroundings.visual
     spec.attach(surroundings, frame=spec.worldbody.add_frame(), prefix="world/")
     return spec
 
@@ -50,7 +49,7 @@ class Plant:
         table = robot.tables.actuators[profile]
         # By itself MuJoCo writes its warnings to a file in the working directory.
         mujoco.set_mju_user_warning(logging.getLogger("comms_manager").warning)
-        self.model = Model(robot, scene(robot, world, "collision").compile())
+        self.model = Model(robot, scene(robot, world, seed, "collision").compile())
         mj = self.model.mj
         self._scale_masses(table.mass_error, np.random.default_rng([seed, 0]))
         mj.dof_frictionloss[self.model.dof] = np.minimum(table.friction, table.friction_share * robot.effort_limit)

@@ -45,7 +45,7 @@ def load_robot(name: str = "escher", **tables: dict[str, object]) -> RobotDescri
 
 
 class ClosedLoop:
-    """The robot, standing under control.
+    """The robot in a world, standing under control.
 
     Attributes:
         state, command: of the last period.
@@ -53,9 +53,9 @@ class ClosedLoop:
         tick_times: of each period, estimator, fall detection and controller [s].
     """
 
-    def __init__(self, robot: RobotDescription, profile: str = "ideal", seed: int = 0) -> None:
+    def __init__(self, robot: RobotDescription, profile: str = "ideal", seed: int = 0, world: str = "flat") -> None:
         self.robot = robot
-        self.plant = Plant(robot, "flat", profile, seed)
+        self.plant = Plant(robot, world, profile, seed)
         self.sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
         model = controller_model(robot)
         self.estimator = FloatingBaseEstimator(robot, model)
