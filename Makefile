@@ -20,6 +20,8 @@ build/uv/bin/uv:
 
 $(STAMP): pyproject.toml requirements.txt $(WHEELS)
 	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
+	@# The ROS wheels carry egg-infos, which a second sync would take for packages too many and remove, modules and all.
+	rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
 	$(UV) pip sync --quiet --python $(BIN)/python --require-hashes requirements.txt
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --reinstall-package valor-interfaces build/wheels/*.whl
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable .
