@@ -163,7 +163,7 @@ class WholeBody(Table):
     friction: Positive = 0.6  # coefficient assumed
     contact_inset: NonNegative = 0.01  # contact points pulled in from the sole's edges [m]
     dcm_gain: Positive = 5.0  # k_ξ
-    com_weight: Positive = 20.0
+    com_weight: Positive = 60.0
     angular_momentum_weight: NonNegative = 0.003
     angular_momentum_gain: NonNegative = 1.0
     orientation_weight: Positive = 3.0
@@ -191,8 +191,11 @@ class WholeBody(Table):
 class Walking(Table):
     """How the robot steps: what a plan leaves to the robot, and how it walks by velocity."""
 
-    swing_duration: Positive = 0.6  # [s]
-    transfer_duration: Positive = 0.2  # of weight, from foot to foot [s]
+    swing_duration: Positive = 0.6  # at little speed, and of plans that do not say [s]
+    transfer_duration: Positive = 0.2  # likewise, of weight from foot to foot [s]
+    fast_swing_duration: Positive = 0.42  # at full speed and beyond [s]
+    fast_transfer_duration: Positive = 0.06  # [s]
+    full_speed: Positive = 0.7  # the durations go linearly from zero to here [m/s]
     first_transfer_duration: Positive = 1.0  # from rest [s]
     last_transfer_duration: Positive = 1.0  # to rest [s]
     swing_height: Positive = 0.06  # of the apex above the higher of lift-off and touch-down [m]
@@ -206,8 +209,10 @@ class Walking(Table):
     foot_stiffness: Positive = 300.0  # [1/s²]
     foot_damping: Positive = 34.0  # [1/s]
     step_width: Positive = 0.2  # between the soles' origins, walking by velocity [m]
-    max_forward_speed: Positive = 0.5  # [m/s]
-    max_backward_speed: Positive = 0.25  # [m/s]
+    hip_height: Positive = 0.725  # above the ankle in the nominal posture [m]
+    leg_reach: Positive = 0.77  # from hip to ankle, that long steps stretch a leg to; beyond, the CoM is lowered [m]
+    max_forward_speed: Positive = 0.9  # [m/s]
+    max_backward_speed: Positive = 0.3  # [m/s]
     max_lateral_speed: Positive = 0.1  # [m/s]
     max_turn_rate: Positive = 0.4  # [rad/s]
     speed_change: Positive = 0.12  # from one step to the next, at most [m/s]

@@ -10,6 +10,7 @@ is planned for later is forgotten by the DCM with e^{−ωt}; three steps ahead 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import hypot, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,8 @@ from valor_common.robot import RobotDescription
 FloatArray = npt.NDArray[np.float64]
 
 AHEAD = 3  # steps planned
+HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]
+MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
 
 
 class Gait:
@@ -116,8 +119,11 @@ class Gait:
         """The VRP's knots over the soles as they stand and will stand, and the DCM through them."""
         durations, knots = [], [self.vrp]
         poses = list(soles)
+        lowered = 0.0  # by what the step before asks for
         for i, step in enumerate(steps[:AHEAD]):
             stance = self._over(poses[1 - step.foot], 1 - step.foot)
+            before, lowered = lowered, self._lowering(poses[1 - step.foot], step.sole)
+            stance[2] -= max(before, lowered, self._lowering(poses[0], poses[1]) if i == 0 else 0.0)
             transfer = self._transfer if i == 0 else step.transfer_duration
             if i == 0 and self._landed is None:  # from rest: sway aside first
                 durations += [0.5 * transfer, 0.5 * transfer]
@@ -141,6 +147,19 @@ class Gait:
         """(3,) the VRP over the middle of a sole, in odom [m]."""
         place: FloatArray = sole.position + sole.rotation @ self._centres[foot] + self._height
         return place
+
+    def _lowering(self, one: SolePose, other: SolePose) -> float:
+        """How much lower than nominal the CoM must be so that no leg is stretched further than its reach [m].
+
+        Weight goes from foot to foot with the hips about midway, and half of a difference in height still to go.
+        """
+        table = self._table
+        x, y, z = (other.position - one.position).tolist()
+        away = 0.5 * hypot(x, y) + HIPS_AHEAD
+        straight = table.leg_reach**2 - away * away
+        if straight <= 0.0:
+            return MOST_LOWERED
+        return min(MOST_LOWERED, max(0.0, table.hip_height + 0.5 * abs(z) - sqrt(straight)))
 
     def _begin_swing(self, state: RobotState, step: Step) -> None:
         table = self._table

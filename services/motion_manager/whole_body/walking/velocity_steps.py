@@ -34,7 +34,6 @@ class VelocitySteps:
 
     def __init__(self, table: Walking) -> None:
         self._table = table
-        self._period = table.swing_duration + table.transfer_duration
         self._highest = np.array((table.max_forward_speed, table.max_lateral_speed, table.max_turn_rate))
         self._lowest = np.array((-table.max_backward_speed, -table.max_lateral_speed, -table.max_turn_rate))
         self._change = np.array((table.speed_change, table.speed_change, table.turn_change))
@@ -59,6 +58,16 @@ class VelocitySteps:
     def stop(self) -> None:
         """Do not walk any more."""
         self._wanted = np.zeros(3)
+
+    def durations(self, velocity: FloatArray) -> tuple[float, float]:
+        """Of swing and transfer [s] at a velocity: quick steps are short ones, which leave the knees bent."""
+        table = self._table
+        forward, left, _ = velocity.tolist()
+        share = min(1.0, hypot(forward, 2.0 * left) / table.full_speed)
+        return (
+            table.swing_duration + share * (table.fast_swing_duration - table.swing_duration),
+            table.transfer_duration + share * (table.fast_transfer_duration - table.transfer_duration),
+        )
 
     # --- StepSource -----------------------------------------------------------------------------------------------
 
@@ -103,7 +112,9 @@ class VelocitySteps:
 
     def _step(self, foot: int, stance: SolePose, velocity: FloatArray) -> Step:
         """The step of ``foot`` from the other's place, at the velocity."""
-        table, period = self._table, self._period
+        table = self._table
+        swing, transfer = self.durations(velocity)
+        period = swing + transfer
         side = 1.0 if foot == LEFT else -1.0
         forward, lateral, turn = (velocity * period).tolist()
         leads = max(0.0, 2.0 * lateral * side)  # the way of both steps, or none
@@ -121,8 +132,8 @@ class VelocitySteps:
             foot=foot,
             sole=level_pose(px + cy * x - sy * y, py + sy * x + cy * y, pz, yaw + turn),
             swing_height=table.swing_height,
-            swing_duration=table.swing_duration,
-            transfer_duration=table.transfer_duration,
+            swing_duration=swing,
+            transfer_duration=transfer,
         )
 
     def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:
