@@ -154,9 +154,9 @@ class Gait:
         Weight goes from foot to foot with the hips about midway, and half of a difference in height still to go.
         """
         table = self._table
-        x, y, z = (other.position - one.position).tolist()
+        x, y, z = map(float, other.position - one.position)
         away = 0.5 * hypot(x, y) + HIPS_AHEAD
-        straight = table.leg_reach**2 - away * away
+        straight = table.leg_reach * table.leg_reach - away * away
         if straight <= 0.0:
             return MOST_LOWERED
         return min(MOST_LOWERED, max(0.0, table.hip_height + 0.5 * abs(z) - sqrt(straight)))

@@ -62,8 +62,8 @@ class VelocitySteps:
     def durations(self, velocity: FloatArray) -> tuple[float, float]:
         """Of swing and transfer [s] at a velocity: quick steps are short ones, which leave the knees bent."""
         table = self._table
-        forward, left, _ = velocity.tolist()
-        share = min(1.0, hypot(forward, 2.0 * left) / table.full_speed)
+        forward = float(velocity[0])
+        share = min(1.0, abs(forward) / table.full_speed)
         return (
             table.swing_duration + share * (table.fast_swing_duration - table.swing_duration),
             table.transfer_duration + share * (table.fast_transfer_duration - table.transfer_duration),
