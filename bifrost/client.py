@@ -12,10 +12,10 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
-from bifrost.discovery import Peer
 from bifrost.encoding import codec
 from bifrost.errors import NoServerError, RemoteError, SchemaError, TimeoutError
 from bifrost.messages import M, Message
+from bifrost.neighbors import Peer
 
 if TYPE_CHECKING:
     from bifrost.node import Node

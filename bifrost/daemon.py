@@ -1,6 +1,7 @@
 """``python -m bifrost.daemon``: the name service of one computer.
 
-It keeps the table of nodes and pushes every change to all of them at once. Data never passes through it.
+It keeps the table of its computer's nodes, follows the daemons of the network's other computers, and pushes every
+change to all of its nodes at once. Data never passes through it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import secrets
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import msgspec
 import psutil
@@ -20,6 +22,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from bifrost import directory as d
 from bifrost.errors import ConfigurationError
+from bifrost.link import Link
 from bifrost.network import Network
 from bifrost.security import Gate, listening_socket
 
@@ -33,13 +36,24 @@ class _Member:
     descriptor: int  # of its connection
     record: d.NodeRecord
     heard: float
+    counts: list[d.Count] = field(default_factory=list)
+
+
+@dataclass
+class _Follower:
+    routing_id: bytes
+    heard: float
 
 
 class Daemon:
-    """The table, and the socket over which nodes fill and read it."""
+    """The table, the socket over which nodes fill and read it, and the links to the other computers' daemons.
+
+    Two versions are counted: of the table that its nodes have, and of its own nodes alone, which followers have.
+    """
 
     def __init__(self, network: Network) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._links: list[Link] = []
         self._gate = Gate(self._context, network)
         self._socket = listening_socket(self._context, zmq.ROUTER, network)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
@@ -49,8 +63,14 @@ class Daemon:
             self.close()
             raise ConfigurationError(f"cannot listen on {network.computer.daemon}: {error.strerror}") from None
         self._members: dict[int, _Member] = {}
+        self._followers: dict[str, _Follower] = {}
+        self._links = [Link(self._context, network, other) for other in network.others]
+        self._poller = zmq.Poller()
+        for socket in (self._gate.socket, self._monitor, self._socket, *(link.socket for link in self._links)):
+            self._poller.register(socket, zmq.POLLIN)
         self._epoch = secrets.randbits(63)
         self._version = 0
+        self._own_version = 0
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._started = time.monotonic()
@@ -58,11 +78,7 @@ class Daemon:
 
     def run_once(self, timeout: float) -> None:
         """Handle what comes within ``timeout`` [s]."""
-        poller = zmq.Poller()
-        poller.register(self._gate.socket, zmq.POLLIN)
-        poller.register(self._monitor, zmq.POLLIN)
-        poller.register(self._socket, zmq.POLLIN)
-        ready = dict(poller.poll(max(0, int(timeout * 1000))))
+        ready = dict(self._poller.poll(max(0, int(timeout * 1000))))
         if self._gate.socket in ready:
             self._gate.answer()
         lost = self._disconnected() if self._monitor in ready else []
@@ -73,6 +89,10 @@ class Daemon:
                 record = self._members[incarnation].record
                 _log.info("node %s (pid %d) went without a word", record.name, record.pid)
                 self._drop(incarnation, "lost")
+        for link in self._links:
+            if link.socket in ready:
+                self._pass_on(link.receive())
+            self._pass_on(link.check())
         self._drop_silent()
 
     def _disconnected(self) -> list[int]:
@@ -91,12 +111,12 @@ class Daemon:
             if len(frames) != 2:
                 continue
             try:
-                message = d.decode_from_node(frames[1].buffer)
+                message = d.decode_to_daemon(frames[1].buffer)
             except (msgspec.DecodeError, RecursionError):
                 continue  # from a member, but of another version: unheard, it is dropped
             self._handle(frames[0].bytes, int(frames[1].get(zmq.SRCFD)), message)
 
-    def _handle(self, sender: bytes, descriptor: int, message: d.FromNode) -> None:
+    def _handle(self, sender: bytes, descriptor: int, message: d.ToDaemon) -> None:
         now = time.monotonic()
         if isinstance(message, d.Heartbeat):
             member = self._members.get(message.incarnation)
@@ -105,26 +125,56 @@ class Daemon:
                 return
             member.heard = now
             member.routing_id, member.descriptor = sender, descriptor
+            if message.counts is not None:
+                member.counts = message.counts
             if (message.epoch, message.version) == (self._epoch, self._version):
                 self._send(sender, d.Alive(self._epoch, self._version))
             else:
-                self._send_table(sender)
+                self._send(sender, self._table())
         elif isinstance(message, d.Register):
             known = self._members.get(message.node.incarnation)
             self._members[message.node.incarnation] = _Member(sender, descriptor, message.node, now)
             if known is None or known.record != message.node:
-                self._version += 1
-                self._broadcast(d.Update(self._epoch, self._version, message.node), but=sender)
-            self._send_table(sender)
+                self._changed(message.node)
+            if known is None:
+                self._send(sender, self._table())
+            else:
+                self._members[message.node.incarnation].counts = known.counts
         elif isinstance(message, d.Leave):
             self._drop(message.incarnation, "left")
+        elif isinstance(message, d.Follow):
+            self._followers[message.computer] = _Follower(sender, now)
+            if (message.epoch, message.version) == (self._epoch, self._own_version):
+                self._send(sender, d.Alive(self._epoch, self._own_version))
+            else:
+                self._send(sender, d.Table(self._epoch, self._own_version, self._own_nodes()))
+        elif isinstance(message, d.AskCounts):
+            self._send(sender, self._counts(message.topic))
         else:
             self._send(sender, self._info())
+
+    def _changed(self, node: d.NodeRecord) -> None:
+        """One of our own nodes is new or another: everybody is told."""
+        self._version += 1
+        self._own_version += 1
+        self._to_members(d.Update(self._epoch, self._version, node))
+        self._to_followers(d.Update(self._epoch, self._own_version, node))
 
     def _drop(self, incarnation: int, reason: d.Reason) -> None:
         if self._members.pop(incarnation, None) is not None:
             self._version += 1
-            self._broadcast(d.Gone(self._epoch, self._version, incarnation, reason))
+            self._own_version += 1
+            self._to_members(d.Gone(self._epoch, self._version, incarnation, reason))
+            self._to_followers(d.Gone(self._epoch, self._own_version, incarnation, reason))
+
+    def _pass_on(self, changes: Iterable[d.NodeRecord | tuple[int, d.Reason]]) -> None:
+        """What has changed on another computer goes to our own nodes."""
+        for change in changes:
+            self._version += 1
+            if isinstance(change, d.NodeRecord):
+                self._to_members(d.Update(self._epoch, self._version, change))
+            else:
+                self._to_members(d.Gone(self._epoch, self._version, *change))
 
     def _drop_silent(self) -> None:
         now = time.monotonic()
@@ -132,12 +182,18 @@ class Daemon:
             # We were held up ourselves: everybody gets another chance to be heard.
             for member in self._members.values():
                 member.heard += now - self._last_check
+            for follower in self._followers.values():
+                follower.heard += now - self._last_check
+            for link in self._links:
+                link.heard += now - self._last_check
         self._last_check = now
         silent = [i for i, member in self._members.items() if now - member.heard > d.NODE_TIMEOUT]
         for incarnation in silent:
             record = self._members[incarnation].record
             _log.warning("node %s (pid %d) is silent: dropped", record.name, record.pid)
             self._drop(incarnation, "silent")
+        for computer in [c for c, follower in self._followers.items() if now - follower.heard > d.NODE_TIMEOUT]:
+            del self._followers[computer]
 
     def _info(self) -> d.DaemonInfo:
         return d.DaemonInfo(
@@ -146,16 +202,30 @@ class Daemon:
             memory_mib=self._process.memory_info().rss / 2**20,
             uptime=time.monotonic() - self._started,
             nodes=len(self._members),
+            computers=[link.computer.name for link in self._links if link.reachable],
         )
 
-    def _send_table(self, to: bytes) -> None:
-        self._send(to, d.Table(self._epoch, self._version, [m.record for m in self._members.values()]))
+    def _counts(self, topic: str) -> d.Counts:
+        found = {i: [c for c in member.counts if c.topic == topic] for i, member in self._members.items()}
+        return d.Counts({incarnation: counts for incarnation, counts in found.items() if counts})
 
-    def _broadcast(self, message: d.FromDaemon, but: bytes | None = None) -> None:
+    def _own_nodes(self) -> list[d.NodeRecord]:
+        return [member.record for member in self._members.values()]
+
+    def _table(self) -> d.Table:
+        others = (record for link in self._links if link.reachable for record in link.nodes.values())
+        return d.Table(self._epoch, self._version, [*self._own_nodes(), *others])
+
+    def _to_members(self, message: d.FromDaemon) -> None:
         content = d.encode(message)
         for member in self._members.values():
-            if member.routing_id != but:
-                self._send_bytes(member.routing_id, content)
+            self._send_bytes(member.routing_id, content)
+
+    def _to_followers(self, message: d.FromDaemon) -> None:
+        if self._followers:
+            content = d.encode(message)
+            for follower in self._followers.values():
+                self._send_bytes(follower.routing_id, content)
 
     def _send(self, to: bytes, message: d.FromDaemon) -> None:
         self._send_bytes(to, d.encode(message))
@@ -168,6 +238,8 @@ class Daemon:
 
     def close(self) -> None:
         """Give back the port."""
+        for link in self._links:
+            link.socket.close()
         self._gate.close()
         self._socket.disable_monitor()
         self._monitor.close(0)

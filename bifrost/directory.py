@@ -1,4 +1,8 @@
-"""What nodes and daemons tell each other: who is there and what each publishes, subscribes to, serves and calls."""
+"""What nodes and daemons tell each other: who is there and what each publishes, subscribes to, serves and calls.
+
+A daemon owns the records of its own computer's nodes. It follows the daemons of the others, each of which tells it of
+its own nodes, and passes on to its nodes what it learns.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,12 @@ import msgspec
 from bifrost.schema import Schema
 
 Kind = Literal["publisher", "subscriber", "server", "client"]
-# Why a node is gone: it took its leave, its connection to the daemon ended, or nothing was heard of it.
-Reason = Literal["left", "lost", "silent"]
+# Why a node is gone: it took its leave, its connection to the daemon ended, or nothing was heard of it; its computer's
+# daemon is new and does not know it yet, or cannot be reached from here.
+Reason = Literal["left", "lost", "silent", "forgotten", "unreachable"]
 
-HEARTBEAT_PERIOD = 1.0  # of a node [s]
-NODE_TIMEOUT = 3.5  # a node not heard of for this long is dropped [s]
+HEARTBEAT_PERIOD = 1.0  # of a node, and of a daemon that follows another [s]
+NODE_TIMEOUT = 3.5  # a node, or a daemon, not heard of for this long is dropped [s]
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -25,6 +30,7 @@ class Entry(msgspec.Struct, frozen=True):
         types: the names of the message types: of a topic one, of a service request and reply; empty: any.
         hashes: of their schemas, hexadecimal.
         endpoint: where it listens; empty for those that connect.
+        latched: of a publisher: whoever comes late gets its last message.
     """
 
     kind: Kind
@@ -32,6 +38,7 @@ class Entry(msgspec.Struct, frozen=True):
     types: tuple[str, ...]
     hashes: tuple[str, ...]
     endpoint: str = ""
+    latched: bool = False
 
 
 class NodeRecord(msgspec.Struct, frozen=True):
@@ -56,6 +63,24 @@ class NodeRecord(msgspec.Struct, frozen=True):
     schemas: dict[str, Schema] = {}
 
 
+class Count(msgspec.Struct, frozen=True, array_like=True):
+    """What has passed one end of a topic since it was made.
+
+    Attributes:
+        kind: which end.
+        topic: its name.
+        messages: published or received.
+        drops: known lost.
+        rejected: refused.
+    """
+
+    kind: Kind
+    topic: str
+    messages: int
+    drops: int = 0
+    rejected: int = 0
+
+
 # From node to daemon.
 
 
@@ -66,11 +91,12 @@ class Register(msgspec.Struct, tag="register"):
 
 
 class Heartbeat(msgspec.Struct, tag="heartbeat"):
-    """I am alive; ``version`` is that of the table I hold."""
+    """I am alive; ``version`` is that of the table I hold; ``counts``, if any has changed, are all of mine."""
 
     incarnation: int
     epoch: int
     version: int
+    counts: list[Count] | None = None
 
 
 class Leave(msgspec.Struct, tag="leave"):
@@ -83,11 +109,28 @@ class Ask(msgspec.Struct, tag="ask"):
     """How are you?"""
 
 
-# From daemon to node.
+class AskCounts(msgspec.Struct, tag="ask_counts"):
+    """What has passed the ends of a topic at your nodes?"""
+
+    topic: str
+
+
+# From daemon to daemon.
+
+
+class Follow(msgspec.Struct, tag="follow"):
+    """Tell me of your own nodes; ``version`` is that of what I know of them. Sent as a heartbeat."""
+
+    computer: str
+    epoch: int
+    version: int
+
+
+# From daemon to node, and to the daemons that follow it.
 
 
 class Table(msgspec.Struct, tag="table"):
-    """Every node that the daemon knows. ``epoch`` is the daemon's incarnation."""
+    """Every node that the daemon knows; to a follower, its own. ``epoch`` is the daemon's incarnation."""
 
     epoch: int
     version: int
@@ -131,12 +174,19 @@ class DaemonInfo(msgspec.Struct, tag="info"):
     cpu_percent: float  # of one core, over the last seconds
     memory_mib: float
     uptime: float  # [s]
-    nodes: int
+    nodes: int  # of its own computer
+    computers: list[str] = []  # the others that it reaches
 
 
-FromNode = Register | Heartbeat | Leave | Ask
-FromDaemon = Table | Update | Gone | Alive | Unknown | DaemonInfo
+class Counts(msgspec.Struct, tag="counts"):
+    """Answer to ``AskCounts``: by incarnation of the node, in the order of its record's entries."""
+
+    counts: dict[int, list[Count]]
+
+
+ToDaemon = Register | Heartbeat | Leave | Ask | AskCounts | Follow
+FromDaemon = Table | Update | Gone | Alive | Unknown | DaemonInfo | Counts
 
 encode = msgspec.msgpack.Encoder().encode
-decode_from_node = msgspec.msgpack.Decoder(FromNode).decode
+decode_to_daemon = msgspec.msgpack.Decoder(ToDaemon).decode
 decode_from_daemon = msgspec.msgpack.Decoder(FromDaemon).decode

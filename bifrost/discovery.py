@@ -6,82 +6,47 @@ those that connect hold a ``Watch``: the peers of a topic, renewed by the thread
 
 from __future__ import annotations
 
-import contextlib
 import os
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import Literal
 
 import msgspec
 import zmq
 
 from bifrost import directory as d
+from bifrost import wire
+from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
 from bifrost.schema import Schema
 from bifrost.security import Gate, connecting_socket
 
 WAKE_ENDPOINT = "inproc://bifrost.wake"
-# How long subscribers stay connected to the publishers of a node that is no longer in the table [s]: what it sent last
-# may be on its way; a starved machine makes the living silent; a new daemon does not know everybody at once.
-_KEPT: dict[d.Reason | Literal["forgotten"], float] = {"left": 1.0, "lost": 3.0, "silent": 10.0, "forgotten": 10.0}
-
-
-@dataclass(frozen=True)
-class Peer:
-    """An entry of another node, and whose it is."""
-
-    node: str
-    incarnation: int
-    started: int
-    entry: d.Entry
-    alive: bool  # as far as is known; False: gone, and what it sent last may still be on its way
-
-
-@dataclass
-class Watch:
-    """The peers of one topic, newest node last. ``peers`` is replaced as a whole by the discovery thread."""
-
-    kind: d.Kind
-    topic: str
-    notify: Callable[[], None]
-    peers: tuple[Peer, ...] = ()
-
-
-@dataclass
-class _Departed:
-    record: d.NodeRecord
-    until: float
-    alive: bool  # it may be
-
-
-@dataclass
-class _State:
-    nodes: dict[int, d.NodeRecord] = field(default_factory=dict)
-    departed: dict[int, _Departed] = field(default_factory=dict)
-    epoch: int = 0
-    version: int = -1
+Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
 
 
 class Discovery:
     """See the module. All public methods may be called from any thread."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str) -> None:
-        self._network = network
-        self._name = name
         self.incarnation = secrets.randbits(63)
-        self._started = time.time_ns()
+        self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), network.computer.name, time.time_ns())
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
-        self._entries: dict[int, tuple[d.Entry, tuple[Schema, ...]]] = {}
+        self._entries: dict[int, d.Entry] = {}
+        self._schemas: dict[int, dict[str, Schema]] = {}  # by key of the entry
+        self._counters: dict[int, Counter] = {}
+        self._counts_told: list[d.Count] = []
         self._next_key = 0
-        self._watches: list[Watch] = []
         self._wakes: set[str] = set()  # topics whose subscribers must look at their watch
+        self._errands: deque[Callable[[], None]] = deque()  # for the thread
+        self._attended: dict[int, Callable[[], None]] = {}
+        self._poller = zmq.Poller()
         self._dirty = False
         self._closing = False
-        self._state = _State()
+        self._neighbors = Neighbors()
         self._heard = 0.0  # when the daemon last said anything
         self._context = context
         self._gate = Gate(context, network)
@@ -97,19 +62,26 @@ class Discovery:
 
     # --- for publishers, subscribers, servers and clients ---------------------------------------------------------
 
-    def announce(self, entry: d.Entry, schemas: Iterable[Schema]) -> int:
-        """Tell the network of an entry; returns the key for ``withdraw``."""
+    def announce(self, entry: d.Entry, schemas: Iterable[Schema], counter: Counter | None = None) -> int:
+        """Tell the network of an entry, and from time to time of its counters; returns the key for ``withdraw``."""
+        described = {schema.digest().hex(): schema for schema in schemas}
         with self._lock:
             self._next_key += 1
-            self._entries[self._next_key] = (entry, tuple(schemas))
-            self._own_changed()
+            self._entries[self._next_key] = entry
+            self._schemas[self._next_key] = described
+            if counter is not None:
+                self._counters[self._next_key] = counter
+            self._own_changed(entry)
             return self._next_key
 
     def withdraw(self, key: int) -> None:
         """Take an entry back."""
         with self._lock:
-            if self._entries.pop(key, None) is not None:
-                self._own_changed()
+            entry = self._entries.pop(key, None)
+            if entry is not None:
+                self._schemas.pop(key)
+                self._counters.pop(key, None)
+                self._own_changed(entry)
 
     def watch(self, kind: d.Kind, topic: str, notify: Callable[[], None] | None = None) -> Watch:
         """Keep an eye on a topic's publishers or servers.
@@ -117,19 +89,34 @@ class Discovery:
         Args:
             kind: what to look for.
             topic: its name.
-            notify: called in the discovery thread after a change; by default the topic's subscribers are woken
-                through the wake socket.
+            notify: called with the lock held after a change; by default the topic's subscribers are woken through
+                the wake socket.
         """
         watch = Watch(kind, topic, notify or (lambda: self._wakes.add(topic)))
         with self._lock:
-            watch.peers = self._peers(watch)
-            self._watches.append(watch)
+            self._neighbors.watch(watch)
         return watch
 
     def unwatch(self, watch: Watch) -> None:
         """Let a topic go."""
         with self._lock:
-            self._watches.remove(watch)
+            self._neighbors.unwatch(watch)
+
+    def wake(self, topic: str) -> None:
+        """Wake the topic's subscribers of this node, wherever they wait."""
+        with self._lock:
+            self._wakes.add(topic)
+        self._poke_thread()
+
+    def attend(self, descriptor: int, callback: Callable[[], None]) -> None:
+        """Have the thread call back whenever a descriptor is readable."""
+        self._errands.append(lambda: self._register(descriptor, callback))
+        self._poke_thread()
+
+    def leave_alone(self, descriptor: int, then: Callable[[], None]) -> None:
+        """Attend to a descriptor no more; the thread then does ``then``, which may close it."""
+        self._errands.append(lambda: self._unregister(descriptor, then))
+        self._poke_thread()
 
     def wait_change(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Wait until ``condition()``, looked at after every change of the table."""
@@ -139,16 +126,13 @@ class Discovery:
     def records(self) -> list[d.NodeRecord]:
         """Every node known, this one included."""
         with self._lock:
-            return list(self._state.nodes.values())
+            return [self._record(), *self._neighbors.nodes.values()]
 
     def schema(self, digest: str) -> Schema | None:
         """The schema of a hash (hexadecimal), if any node has registered it."""
         with self._lock:
-            departed = (each.record for each in self._state.departed.values())
-            for record in (*self._state.nodes.values(), *departed):
-                if digest in record.schemas:
-                    return record.schemas[digest]
-        return None
+            own = (each[digest] for each in self._schemas.values() if digest in each)
+            return next(own, None) or self._neighbors.schema(digest)
 
     @property
     def connected(self) -> bool:
@@ -158,7 +142,7 @@ class Discovery:
     @property
     def registered(self) -> bool:
         """Whether this daemon's table has arrived."""
-        return self._state.version >= 0 and self.connected
+        return self._neighbors.version >= 0 and self.connected
 
     def close(self) -> None:
         """Leave, and end the thread."""
@@ -172,45 +156,18 @@ class Discovery:
 
     # --- with the lock held ---------------------------------------------------------------------------------------
 
-    def _own_changed(self) -> None:
+    def _own_changed(self, entry: d.Entry) -> None:
         self._dirty = True
-        self._state.nodes[self.incarnation] = self._record()
+        self._neighbors.put_own(self._bare_record, self._entries, entry)
         self._refresh()
         self._poke_thread()
 
     def _record(self) -> d.NodeRecord:
-        schemas = {s.digest().hex(): s for _, all_schemas in self._entries.values() for s in all_schemas}
-        return d.NodeRecord(
-            name=self._name,
-            incarnation=self.incarnation,
-            pid=os.getpid(),
-            computer=self._network.computer.name,
-            started=self._started,
-            entries=tuple(entry for entry, _ in self._entries.values()),
-            schemas=schemas,
-        )
-
-    def _peers(self, watch: Watch) -> tuple[Peer, ...]:
-        records = [(record, True) for record in self._state.nodes.values()]
-        records += [
-            (each.record, each.alive)
-            for each in self._state.departed.values()
-            if each.alive or watch.kind == "publisher"
-        ]
-        records.sort(key=lambda pair: pair[0].started)
-        return tuple(
-            Peer(record.name, record.incarnation, record.started, entry, alive)
-            for record, alive in records
-            for entry in record.entries
-            if entry.kind == watch.kind and entry.topic == watch.topic
-        )
+        schemas = {digest: schema for described in self._schemas.values() for digest, schema in described.items()}
+        return msgspec.structs.replace(self._bare_record, entries=tuple(self._entries.values()), schemas=schemas)
 
     def _refresh(self) -> None:
-        for watch in self._watches:
-            peers = self._peers(watch)
-            if peers != watch.peers:
-                watch.peers = peers
-                watch.notify()
+        self._neighbors.refresh()
         self._changed.notify_all()
 
     # --- the thread -----------------------------------------------------------------------------------------------
@@ -219,9 +176,8 @@ class Discovery:
         os.eventfd_write(self._poke, 1)
 
     def _run(self) -> None:
-        poller = zmq.Poller()
         for socket in (self._gate.socket, self._daemon, self._wake, self._poke):
-            poller.register(socket, zmq.POLLIN)
+            self._poller.register(socket, zmq.POLLIN)
         next_heartbeat = 0.0
         try:
             while not self._closing:
@@ -229,7 +185,7 @@ class Discovery:
                 if now >= next_heartbeat:
                     self._heartbeat()
                     next_heartbeat = now + d.HEARTBEAT_PERIOD
-                ready = dict(poller.poll(max(1, int((next_heartbeat - now) * 1000) + 1)))
+                ready = dict(self._poller.poll(max(1, int((next_heartbeat - now) * 1000) + 1)))
                 if self._gate.socket in ready:
                     self._gate.answer()
                 if self._poke in ready:
@@ -238,14 +194,42 @@ class Discovery:
                     self._receive_subscriptions()
                 if self._daemon in ready:
                     self._receive_from_daemon()
+                for descriptor, callback in self._attended.items():
+                    if descriptor in ready:
+                        callback()
+                self._run_errands()
                 self._forget_departed()
                 self._register_if_dirty()
                 self._send_wakes()
         finally:
+            self._run_errands()
             self._leave()
 
+    def _run_errands(self) -> None:
+        while self._errands:
+            self._errands.popleft()()
+
+    def _register(self, descriptor: int, callback: Callable[[], None]) -> None:
+        self._attended[descriptor] = callback
+        self._poller.register(descriptor, zmq.POLLIN)
+        callback()  # the descriptor tells of what comes from now on
+
+    def _unregister(self, descriptor: int, then: Callable[[], None]) -> None:
+        if self._attended.pop(descriptor, None) is not None:
+            self._poller.unregister(descriptor)
+        then()
+
     def _heartbeat(self) -> None:
-        self._send(d.Heartbeat(self.incarnation, self._state.epoch, self._state.version))
+        neighbors = self._neighbors
+        counts = self._counts()
+        told = counts == self._counts_told
+        if self._send(d.Heartbeat(self.incarnation, neighbors.epoch, neighbors.version, None if told else counts)):
+            self._counts_told = counts
+
+    def _counts(self) -> list[d.Count]:
+        with self._lock:
+            counters = [(self._entries[key], counter) for key, counter in self._counters.items()]
+        return [d.Count(entry.kind, entry.topic, *counter()) for entry, counter in counters]
 
     def _register_if_dirty(self) -> None:
         with self._lock:
@@ -253,7 +237,8 @@ class Discovery:
                 return
             self._dirty = False
             record = self._record()
-        self._send(d.Register(record))
+        if not self._send(d.Register(record)):
+            self._dirty = True
 
     def _receive_subscriptions(self) -> None:
         """A subscriber has subscribed to the wake socket: wake it, lest it has missed an earlier wake."""
@@ -262,7 +247,7 @@ class Discovery:
                 frame = self._wake.recv(zmq.NOBLOCK)
             except zmq.Again:
                 return
-            if frame[:1] == b"\x01":
+            if frame[:1] == b"\x01" and frame[1:2] != wire.PRIVATE:
                 with self._lock:
                     self._wakes.add(frame[1:-1].decode())
 
@@ -290,60 +275,37 @@ class Discovery:
                 self._changed.notify_all()
 
     def _take(self, message: d.FromDaemon) -> None:
-        state = self._state
+        neighbors = self._neighbors
         if isinstance(message, d.Unknown):
             self._dirty = True
+            self._counts_told = []
         elif isinstance(message, d.Table):
-            new = {record.incarnation: record for record in message.nodes}
-            reason: d.Reason | Literal["forgotten"] = "lost" if message.epoch == state.epoch else "forgotten"
-            for incarnation, record in state.nodes.items():
-                if incarnation not in new and incarnation != self.incarnation:
-                    self._depart(record, reason)
-            own = state.nodes.get(self.incarnation)
-            state.nodes = new
-            state.epoch, state.version = message.epoch, message.version
-            if own is not None:
-                new[self.incarnation] = own
-            for incarnation in new:
-                state.departed.pop(incarnation, None)
-            self._refresh()
-        elif isinstance(message, d.Update | d.Gone) and message.epoch == state.epoch:
-            if message.version == state.version + 1:
-                state.version = message.version
+            others = (record for record in message.nodes if record.incarnation != self.incarnation)
+            neighbors.replace(others, message.epoch, message.version)
+        elif isinstance(message, d.Update | d.Gone) and message.epoch == neighbors.epoch:
+            if message.version == neighbors.version + 1:
+                neighbors.version = message.version
             # Otherwise something was missed; the next heartbeat carries our version and brings the table.
             if isinstance(message, d.Gone):
-                record_gone = state.nodes.pop(message.incarnation, None)
-                if record_gone is not None:
-                    self._depart(record_gone, message.reason)
-                elif message.incarnation in state.departed:
-                    self._depart(state.departed[message.incarnation].record, message.reason)
+                neighbors.depart(message.incarnation, message.reason)
+                self._dirty |= message.incarnation == self.incarnation  # we are not
             elif message.node.incarnation != self.incarnation:
-                state.nodes[message.node.incarnation] = message.node
-                state.departed.pop(message.node.incarnation, None)
-            if self.incarnation not in state.nodes:
-                state.nodes[self.incarnation] = self._record()
-                self._dirty = True
-            self._refresh()
-
-    def _depart(self, record: d.NodeRecord, reason: d.Reason | Literal["forgotten"]) -> None:
-        until = time.monotonic() + _KEPT[reason]
-        self._state.departed[record.incarnation] = _Departed(record, until, reason in ("silent", "forgotten"))
+                neighbors.put(message.node)
+        self._refresh()
 
     def _forget_departed(self) -> None:
-        if not self._state.departed:
-            return
-        now = time.monotonic()
-        with self._lock:
-            over = [i for i, departed in self._state.departed.items() if now > departed.until]
-            for incarnation in over:
-                del self._state.departed[incarnation]
-            if over:
+        if self._neighbors.any_departed:
+            with self._lock:
+                self._neighbors.forget_departed()
                 self._refresh()
 
-    def _send(self, message: d.FromNode) -> None:
-        # When the daemon has been away for long nothing more is queued: it asks for registration when it is back.
-        with contextlib.suppress(zmq.Again):
+    def _send(self, message: d.ToDaemon) -> bool:
+        """False when the daemon has been away for so long that nothing more is queued: told again later."""
+        try:
             self._daemon.send(d.encode(message), zmq.NOBLOCK)
+        except zmq.Again:
+            return False
+        return True
 
     def _leave(self) -> None:
         if self.connected:

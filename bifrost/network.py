@@ -63,6 +63,11 @@ class Network:
     server: KeyPair
     client: KeyPair
 
+    @property
+    def others(self) -> tuple[Computer, ...]:
+        """The computers of the network but this one."""
+        return tuple(computer for computer in self.computers if computer != self.computer)
+
     @classmethod
     def load(cls, network_file: Path | str, keys_folder: Path | str, computer: str | None = None) -> Network:
         """Read a network file and its keys.

@@ -24,6 +24,8 @@ def _common(socket: zmq.Socket[bytes]) -> None:
     # A peer that is gone without a word is let go after HEARTBEAT_TIMEOUT.
     socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
     socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 5000)
+    # A link that is back is used at once: Linux alone would wait longer and longer between attempts.
+    socket.setsockopt(zmq.CONNECT_TIMEOUT, 2000)
     socket.setsockopt(zmq.RECONNECT_IVL, 50)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
 
