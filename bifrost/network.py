@@ -11,7 +11,8 @@ import os
 import random
 import re
 import socket
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import zmq
@@ -112,9 +113,22 @@ class Network:
         Raises:
             ConfigurationError: the files cannot be written.
         """
+        return cls.create_for([Computer("localhost", host, port or _free_port(host))], network_file, keys_folder)
+
+    @classmethod
+    def create_for(cls, computers: Sequence[Computer], network_file: Path | str, keys_folder: Path | str) -> Network:
+        """Write the network file of several computers, and fresh keys; both belong on every one of them.
+
+        Args:
+            computers: all of the network; the returned one is the first's.
+            network_file: as for ``create``.
+            keys_folder: as for ``create``.
+
+        Raises:
+            ConfigurationError: the files cannot be written.
+        """
         network_file, keys_folder = Path(network_file), Path(keys_folder)
-        computer = Computer("localhost", host, port or _free_port(host))
-        content = {"version": _VERSION, "computers": [{"name": computer.name, "host": host, "port": computer.port}]}
+        content = {"version": _VERSION, "computers": [asdict(computer) for computer in computers]}
         pairs = [KeyPair(*zmq.curve_keypair()) for _ in range(2)]
         try:
             network_file.parent.mkdir(parents=True, exist_ok=True)
@@ -125,7 +139,7 @@ class Network:
             _write_private(network_file, json.dumps(content, indent=2).encode() + b"\n")
         except OSError as error:
             raise ConfigurationError(f"{error.filename or keys_folder}: {error.strerror}") from None
-        return cls((computer,), computer, *pairs)
+        return cls(tuple(computers), computers[0], *pairs)
 
     @classmethod
     def from_environment(cls) -> Network:

@@ -8,14 +8,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import pytest
 
 import bifrost
+from bifrost import Computer
 
 T = TypeVar("T")
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -62,9 +62,9 @@ def until(condition: Callable[[], T], what: str, timeout: float = 10.0) -> T:
 class Peer:
     """A process of the network; what it prints is JSON, a line each."""
 
-    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
+    def __init__(self, environment: dict[str, str], *arguments: str, within: Sequence[str] = ()) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.integration.bifrost_peer", *arguments],
+            [*within, sys.executable, "-m", "tests.integration.bifrost_peer", *arguments],
             cwd=REPOSITORY,
             env=environment,
             stdout=subprocess.PIPE,
@@ -101,43 +101,69 @@ class Peer:
 
 
 class BifrostNetwork:
-    """The network, its daemon, and everything that a test started in it."""
+    """The network, its daemons, and everything that a test started in it."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, computers: Sequence[Computer] = ()) -> None:
         self.file, self.keys = folder / "network.json", folder / "keys"
-        self.network = bifrost.Network.create(self.file, self.keys)
-        self.environment = os.environ | {
-            "BIFROST_NETWORK": str(self.file),
-            "BIFROST_KEYS": str(self.keys),
-            "OPENBLAS_NUM_THREADS": "1",
-        }
+        if computers:
+            self.network = bifrost.Network.create_for(computers, self.file, self.keys)
+        else:
+            self.network = bifrost.Network.create(self.file, self.keys)
         self.log = folder / "bifrostd.log"
-        self.daemon: subprocess.Popen[bytes] | None = None
+        self.daemons: dict[str, subprocess.Popen[bytes]] = {}
+        self.within: dict[str, Sequence[str]] = {}  # by computer: the command that runs another one there
         self._nodes: list[bifrost.Node] = []
         self._peers: list[Peer] = []
 
-    def start_daemon(self) -> subprocess.Popen[bytes]:
+    def environment(self, computer: str | None = None) -> dict[str, str]:
+        """With which a process joins, on one of the computers (by default the first)."""
+        return os.environ | {
+            "BIFROST_NETWORK": str(self.file),
+            "BIFROST_KEYS": str(self.keys),
+            "BIFROST_COMPUTER": computer or self.network.computer.name,
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+
+    def on(self, computer: str | None = None) -> bifrost.Network:
+        """The network as one of the computers sees it."""
+        return bifrost.Network.load(self.file, self.keys, computer or self.network.computer.name)
+
+    @property
+    def daemon(self) -> subprocess.Popen[bytes]:
+        """That of the first computer."""
+        return self.daemons[self.network.computer.name]
+
+    def start_daemon(self, computer: str | None = None) -> subprocess.Popen[bytes]:
         """Start it, and wait until it answers."""
+        network = self.on(computer)
         with open(self.log, "ab") as log:
-            self.daemon = subprocess.Popen([sys.executable, "-m", "bifrost.daemon"], env=self.environment, stderr=log)
-        until(lambda: bifrost.daemon_alive(self.network, 0.5), "the daemon answers", 20.0)
-        return self.daemon
+            daemon = subprocess.Popen(
+                [*self._within(computer), sys.executable, "-m", "bifrost.daemon"],
+                env=self.environment(computer),
+                stderr=log,
+            )
+        self.daemons[network.computer.name] = daemon
+        if not self.within:
+            until(lambda: bifrost.daemon_alive(network, 0.5), "the daemon answers", 20.0)
+        return daemon
 
-    def kill_daemon(self) -> None:
+    def _within(self, computer: str | None) -> Sequence[str]:
+        return self.within.get(computer or self.network.computer.name, ())
+
+    def kill_daemon(self, computer: str | None = None) -> None:
         """SIGKILL, and wait."""
-        assert self.daemon is not None
-        self.daemon.kill()
-        self.daemon.wait()
-        self.daemon = None
+        daemon = self.daemons.pop(computer or self.network.computer.name)
+        daemon.kill()
+        daemon.wait()
 
-    def node(self, name: str) -> bifrost.Node:
+    def node(self, name: str, computer: str | None = None) -> bifrost.Node:
         """A node in this process, closed with the network."""
-        self._nodes.append(bifrost.Node(name, network=self.network))
+        self._nodes.append(bifrost.Node(name, network=self.on(computer)))
         return self._nodes[-1]
 
-    def peer(self, *arguments: str) -> Peer:
+    def peer(self, *arguments: str, computer: str | None = None) -> Peer:
         """A process that has its publisher, subscriber or server; killed with the network."""
-        self._peers.append(Peer(self.environment, *arguments))
+        self._peers.append(Peer(self.environment(computer), *arguments, within=self._within(computer)))
         return self._peers[-1]
 
     def close(self) -> None:
@@ -147,9 +173,10 @@ class BifrostNetwork:
         for peer in self._peers:
             if peer.alive():
                 peer.kill()
-        if self.daemon is not None:
-            self.daemon.terminate()
-            assert self.daemon.wait(10) == 0, self.log.read_text()
+        for daemon in self.daemons.values():
+            daemon.terminate()
+        for daemon in self.daemons.values():
+            assert daemon.wait(10) == 0, self.log.read_text()
 
 
 def connected(publisher: bifrost.Publisher[Sample], *subscribers: bifrost.Subscriber[Sample]) -> int:
@@ -172,18 +199,3 @@ def connected(publisher: bifrost.Publisher[Sample], *subscribers: bifrost.Subscr
             assert received is not None
             last = received.sequence  # noqa: PLW2901
     return sequence
-
-
-@pytest.fixture
-def bare_network(tmp_path: Path) -> Iterator[BifrostNetwork]:
-    """A network whose daemon does not run yet."""
-    made = BifrostNetwork(tmp_path)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def net(bare_network: BifrostNetwork) -> BifrostNetwork:
-    """A network whose daemon runs."""
-    bare_network.start_daemon()
-    return bare_network

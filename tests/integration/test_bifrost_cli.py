@@ -1,7 +1,5 @@
 """The command line's verbs, against real peers."""
 
-# ruff: noqa: F401, F811 - fixtures are imported by name
-
 from __future__ import annotations
 
 import json
@@ -23,8 +21,6 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Question,
     Sample,
-    bare_network,
-    net,
     sample,
     until,
 )
@@ -89,7 +85,7 @@ def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
     message = Sample(1, "", np.array([np.nan, np.inf, 1.0]), np.zeros(0, np.uint8))
     process = subprocess.Popen(
         [sys.executable, "-m", "bifrost.cli", "topic", "echo", "lab/sample", "--json", "--timeout", "20"],
-        env=net.environment,
+        env=net.environment(),
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -150,7 +146,7 @@ def test_exit_status_and_stderr(net: BifrostNetwork) -> None:
     def verb(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, "-m", "bifrost.cli", *arguments],
-            env=net.environment | environment,
+            env=net.environment() | environment,
             capture_output=True,
             text=True,
             timeout=60,

@@ -1,7 +1,5 @@
 """The name service: nodes find each other, and go on without it."""
 
-# ruff: noqa: F401, F811 - fixtures are imported by name
-
 from __future__ import annotations
 
 import signal
@@ -19,8 +17,6 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Question,
     Sample,
-    bare_network,
-    net,
     until,
 )
 
@@ -105,7 +101,6 @@ def test_the_graph_names_everything(net: BifrostNetwork) -> None:
 
 
 def test_the_daemon_tells_how_it_fares(net: BifrostNetwork) -> None:
-    assert net.daemon is not None
     info = bifrost.daemon_alive(net.network, timeout=5.0)
     assert info is not None
     assert info.pid == net.daemon.pid
@@ -144,11 +139,11 @@ def run_daemon(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_daemon_that_cannot_start_says_why_in_one_line(net: BifrostNetwork, tmp_path: Path) -> None:
-    taken = run_daemon(net.environment)
+    taken = run_daemon(net.environment())
     assert taken.returncode == 78
     assert taken.stderr.count("\n") == 1
     assert f"cannot listen on {net.network.computer.daemon}: Address already in use" in taken.stderr
-    missing = run_daemon(net.environment | {"BIFROST_NETWORK": str(tmp_path / "none.json")})
+    missing = run_daemon(net.environment() | {"BIFROST_NETWORK": str(tmp_path / "none.json")})
     assert missing.returncode == 78
     assert "none.json: no such network file" in missing.stderr
     assert missing.stderr.count("\n") == 1

@@ -1,7 +1,5 @@
 """Garbage and strangers at every port."""
 
-# ruff: noqa: F401, F811 - fixtures are imported by name
-
 from __future__ import annotations
 
 import socket as sockets
@@ -17,8 +15,6 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Question,
     Sample,
-    bare_network,
-    net,
     until,
 )
 
@@ -78,7 +74,6 @@ def throw(port: int, content: bytes) -> bytes:
 
 def test_garbage_on_every_port_ends_nothing_and_delays_nobody(net: BifrostNetwork) -> None:
     publisher, server = net.peer("publish", "lab/sample", "200"), net.peer("serve", "lab/ask")
-    assert net.daemon is not None
     node = net.node("test")
     subscriber = node.subscriber("lab/sample", Sample, queue=10_000)
     client = node.client("lab/ask", Question, Answer)
@@ -154,7 +149,6 @@ def test_another_instances_keys_open_nothing(net: BifrostNetwork) -> None:
 
 def test_everything_listens_on_the_networks_interface_alone(net: BifrostNetwork) -> None:
     peers = [net.peer("publish", "lab/sample", "10"), net.peer("serve", "lab/ask")]
-    assert net.daemon is not None
     for pid in (net.daemon.pid, *(peer.pid for peer in peers)):
         for connection in psutil.Process(pid).net_connections("inet"):
             assert connection.laddr.ip == "127.0.0.1"

@@ -1,7 +1,5 @@
 """Request and reply across real processes."""
 
-# ruff: noqa: F401, F811 - fixtures are imported by name
-
 from __future__ import annotations
 
 import signal
@@ -21,8 +19,6 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Peer,
     Question,
-    bare_network,
-    net,
     until,
 )
 

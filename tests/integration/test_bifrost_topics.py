@@ -1,7 +1,5 @@
 """Publish and subscribe across real processes."""
 
-# ruff: noqa: F401, F811 - fixtures are imported by name
-
 from __future__ import annotations
 
 import os
@@ -23,9 +21,7 @@ from bifrost.directory import Entry
 from tests.integration.bifrost_network import (
     BifrostNetwork,
     Sample,
-    bare_network,
     connected,
-    net,
     sample,
     until,
 )

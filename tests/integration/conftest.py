@@ -1,0 +1,36 @@
+"""Fixtures of the Bifrost tests: networks of a test's own."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bifrost import Computer
+from tests.integration.bifrost_network import BifrostNetwork
+
+
+@pytest.fixture
+def bare_network(tmp_path: Path) -> Iterator[BifrostNetwork]:
+    """A network of one computer whose daemon does not run yet."""
+    made = BifrostNetwork(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def net(bare_network: BifrostNetwork) -> BifrostNetwork:
+    """A network whose daemon runs."""
+    bare_network.start_daemon()
+    return bare_network
+
+
+@pytest.fixture
+def two_computers(tmp_path: Path) -> Iterator[BifrostNetwork]:
+    """Two computers, near and far, that are two addresses of the loopback interface; no daemon runs yet."""
+    port = random.SystemRandom().randrange(20000, 32768)
+    made = BifrostNetwork(tmp_path, [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)])
+    yield made
+    made.close()
