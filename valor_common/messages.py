@@ -91,6 +91,8 @@ class MotionState(Message):
     cop_in_odom: Float64Array  # (2,) [m], from the foot wrenches; NaN without contact
     contacts: Uint8Array  # (2,) left, right foot: 1 in contact
     joint_setpoint: Float64Array  # (n,) positions commanded last [rad]; measured ones for joints driven by force alone
+    pelvis_setpoint: Float64Array  # (6,) commanded last, as in PelvisSetpoint
+    pelvis_in_support: Float64Array  # (6,) estimated, likewise
     desired_foot_forces: Float64Array  # (2,) vertical, left and right, as the QP planned them [N]
     qp_status: int  # 0 not run, 1 optimal, 2 re-solved with torque limits, -1 infeasible (last feasible with damping)
     qp_failures: int  # since start
@@ -139,6 +141,18 @@ class VelocityCommand(Message):
     linear_x: float  # forward [m/s]
     linear_y: float  # left [m/s]
     angular_z: float  # anticlockwise [rad/s]
+
+
+class PelvisSetpoint(Message):
+    """Where the pelvis shall be while the robot stands: x, y, z [m], roll, pitch, yaw [rad] in the support frame.
+
+    The support frame lies between the soles at their height and heads with them. x and y are from the pelvis'
+    nominal place over it; z is the pelvis' height. Roll, pitch and yaw turn about the fixed axes x, y, z, in this order.
+    """
+
+    time: int  # of the Proprioceptor that it was made for
+    position: Float64Array  # (6,) x, y, z [m], roll, pitch, yaw [rad]
+    velocity: Float64Array  # (6,) their rates [m/s, rad/s]
 
 
 class BehaviorRequest(Message):

@@ -220,6 +220,22 @@ class Walking(Table):
     command_timeout: Positive = 0.5  # without a velocity for so long, the robot stops [s]
 
 
+class PelvisMotion(Table):
+    """How far and how fast the standing robot's pelvis may be led from its nominal place over the feet."""
+
+    max_shift: NonNegative = 0.05  # forward, backward and to each side [m]
+    max_up: NonNegative = 0.03  # above nominal_base_height [m]
+    max_down: NonNegative = 0.13  # below it [m]
+    max_roll: NonNegative = 0.15  # [rad]
+    max_pitch: NonNegative = 0.25  # [rad]
+    max_yaw: NonNegative = 0.25  # [rad]
+    max_speed: Positive = 0.15  # [m/s]
+    max_acceleration: Positive = 0.5  # [m/s²]
+    max_turn_rate: Positive = 0.4  # [rad/s]
+    max_turn_acceleration: Positive = 1.5  # [rad/s²]
+    com_margin: Positive = 0.05  # the CoM's reference stays so far inside both soles' edges [m]
+
+
 class Estimator(Table):
     """How far the floating-base estimator trusts what it is told."""
 
@@ -260,6 +276,7 @@ class RobotTables(Table):
     footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
     whole_body: WholeBody = WholeBody()
     walking: Walking = Walking()
+    pelvis: PelvisMotion = PelvisMotion()
     estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 

@@ -50,6 +50,7 @@ REJECTION                     = Topic("motion_manager/rejection",          m.Rej
 STEP_STATUS                   = Topic("motion_manager/step_status",        m.StepStatus,       _MOTION,    10.0,         1, "progress of a footstep plan")
 JOINT_SETPOINTS               = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,   _VRC,       250.0,        1, "set-points by joint name")
 VELOCITY                      = Topic("motion_manager/velocity",           m.VelocityCommand,  _VRC,       None,         1, "walking velocity; times out")
+PELVIS                        = Topic("motion_manager/pelvis",             m.PelvisSetpoint,   _VRC,       250.0,        1, "where the pelvis shall be")
 CONTROL_MODE                  = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,      10.0,         1, "the VRC's control mode")
 GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it")
 MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
@@ -59,7 +60,7 @@ FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Sta
 BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
 
 TOPICS: tuple[Topic, ...] = (
-    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, CONTROL_MODE,
+    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, PELVIS, CONTROL_MODE,
     GROUND_TRUTH, MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
     FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
 )

@@ -1,4 +1,4 @@
-"""Makes any stream of joint targets safe to follow: no jump in position, none in velocity, no limit passed."""
+"""Makes any stream of targets safe to follow: no jump in position, none in velocity, no limit passed."""
 
 from __future__ import annotations
 
@@ -12,48 +12,52 @@ ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]; robots pub
 BRAKE_FACTOR = 0.9  # of the acceleration, that braking is planned with
 
 
-class JointLimiter:
-    """The commanded position of every joint, which follows a target with limited velocity and acceleration.
+class Limiter:
+    """Commanded positions, each of which follows a target with limited velocity and acceleration.
 
     A target that keeps the limits is followed exactly, one that does not as fast as the limits allow, without
-    overshoot. What is commanded stays within the position limits; a joint found outside them comes in from there.
+    overshoot. What is commanded stays within the position limits; what is found outside them comes in from there.
+    Units are those of the quantity, [rad] or [m].
 
     Attributes:
-        position: (n,) commanded [rad].
-        velocity: (n,) commanded [rad/s].
-        acceleration: (n,) commanded [rad/s²].
-        velocity_limit: (n,) [rad/s].
-        acceleration_limit: (n,) [rad/s²].
+        position: (n,) commanded.
+        velocity: (n,) commanded [1/s].
+        acceleration: (n,) commanded [1/s²].
+        velocity_limit: (n,) [1/s].
+        acceleration_limit: (n,) [1/s²].
     """
 
-    def __init__(self, robot: RobotDescription) -> None:
-        n = len(robot.joints)
-        self._lower, self._upper = robot.lower, robot.upper
-        self.velocity_limit: FloatVector = VELOCITY_FACTOR * robot.velocity_limit
-        self.acceleration_limit: FloatVector = robot.velocity_limit / ACCELERATION_TIME
-        self._brake: FloatVector = BRAKE_FACTOR * self.acceleration_limit
-        self.position = np.clip(np.zeros(n), robot.lower, robot.upper)
+    def __init__(
+        self, lower: FloatVector, upper: FloatVector, velocity_limit: FloatVector, acceleration_limit: FloatVector
+    ) -> None:
+        """At rest at 0, or at the limit next to it."""
+        n = len(lower)
+        self._lower, self._upper = lower, upper
+        self.velocity_limit = velocity_limit
+        self.acceleration_limit = acceleration_limit
+        self._brake: FloatVector = BRAKE_FACTOR * acceleration_limit
+        self.position = np.clip(np.zeros(n), lower, upper)
         self.velocity = np.zeros(n)
         self.acceleration = np.zeros(n)
 
     def reset(self, joints: npt.NDArray[np.bool_], position: FloatVector) -> None:
-        """Take joints up, at rest, where they are found.
+        """Take some up, at rest, where they are found.
 
         Args:
             joints: (n,) which ones.
-            position: (n,) [rad].
+            position: (n,) where.
         """
         self.position = np.where(joints, position, self.position)
         self.velocity = np.where(joints, 0.0, self.velocity)
         self.acceleration = np.where(joints, 0.0, self.acceleration)
 
     def stopping_point(self) -> FloatVector:
-        """(n,) Where each joint comes to rest when it brakes now, within the position limits [rad]."""
+        """(n,) Where each comes to rest when it brakes now, within the position limits."""
         distance = self.velocity * np.abs(self.velocity) / (2.0 * self._brake)
         return self._within_limits(self.position + distance)
 
     def _within_limits(self, position: FloatVector) -> FloatVector:
-        """Positions within the limits, where those of joints found outside begin at the joint itself."""
+        """Positions within the limits, where those of what was found outside begin there."""
         lower, upper = np.minimum(self._lower, self.position), np.maximum(self._upper, self.position)
         within: FloatVector = np.maximum(np.minimum(position, upper), lower)
         return within
@@ -62,8 +66,8 @@ class JointLimiter:
         """Go one period towards a target.
 
         Args:
-            target: (n,) where the joints shall be at the end of the period [rad].
-            target_velocity: (n,) how fast the target itself moves [rad/s].
+            target: (n,) where they shall be at the end of the period.
+            target_velocity: (n,) how fast the target itself moves [1/s].
             dt: the period [s].
         """
         # np.minimum and np.maximum: np.clip costs five times as much on vectors this short.
@@ -85,6 +89,15 @@ class JointLimiter:
         velocity = (position - now) / dt
         self.acceleration = (velocity - self.velocity) / dt
         self.position, self.velocity = position, velocity
+
+
+class JointLimiter(Limiter):
+    """The commanded position of every joint of a robot [rad]."""
+
+    def __init__(self, robot: RobotDescription) -> None:
+        super().__init__(
+            robot.lower, robot.upper, VELOCITY_FACTOR * robot.velocity_limit, robot.velocity_limit / ACCELERATION_TIME
+        )
 
 
 def _braking_speed(distance: FloatVector, brake: FloatVector, half_step: FloatVector) -> FloatVector:

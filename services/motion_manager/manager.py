@@ -18,6 +18,7 @@ from motion_manager.command import MotorCommand
 from motion_manager.handlers.behavior import BehaviorHandler
 from motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from motion_manager.handlers.pelvis import PelvisHandler
 from motion_manager.handlers.velocity import VelocityHandler
 from motion_manager.joint_reference import JointReference
 from motion_manager.posture_control import PostureControl
@@ -63,6 +64,7 @@ class MotionManager:
         setpoints_handler: follows or refuses joint set-points.
         footstep_handler: answers footstep plans.
         velocity_handler: follows or refuses walking velocities.
+        pelvis_handler: follows or refuses where the pelvis shall be.
         in_control: whether a believable Proprioceptor has been answered.
         silent: set by the loop: why no Proprioceptor comes, or an empty text.
     """
@@ -95,6 +97,7 @@ class MotionManager:
         }
         self.footstep_handler = FootstepPlanHandler(robot, self.fsm, self._step_queue, self.rejections, self._soles)
         self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
+        self.pelvis_handler = PelvisHandler(self.fsm, self._controller.pelvis, self.rejections)
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
         self._state: RobotState | None = None
         self._whole_body: WholeBodyCommand | None = None  # of this period
@@ -220,6 +223,8 @@ class MotionManager:
         self._locomotion = locomotion
         if before in self._step_sources:
             self._end_stepping(locomotion)
+        if locomotion in self._step_sources:
+            self._controller.pelvis.go_home()
         if locomotion in BALANCING:
             if before not in BALANCING:
                 self._detector.reset()
@@ -336,6 +341,8 @@ class MotionManager:
             cop_in_odom=state.cop_in_odom if state else np.full(2, np.nan),
             contacts=state.contacts if state else np.zeros(2, dtype=np.uint8),
             joint_setpoint=self._command.position,
+            pelvis_setpoint=self._controller.pelvis.position,
+            pelvis_in_support=self._controller.pelvis.measured(state) if state else np.zeros(6),
             desired_foot_forces=command.desired_foot_forces if command else zeros[:2],
             qp_status=int(command.qp_status if command else QpStatus.NOT_RUN),
             qp_failures=self._controller.qp_failures,

@@ -16,6 +16,7 @@ from valor_common.messages import (
     JointSetpoints,
     MotionState,
     Motor,
+    PelvisSetpoint,
     Proprioceptor,
     Rejection,
     StepStatus,
@@ -29,13 +30,14 @@ from valor_common.topics import (
     JOINT_SETPOINTS,
     MOTION_STATE,
     MOTOR,
+    PELVIS,
     PROPRIOCEPTOR,
     REJECTION,
     STEP_STATUS,
     VELOCITY,
 )
 
-SETPOINT_QUEUE = 16  # more than that in one control period are dropped and counted
+SETPOINT_QUEUE = 16  # joints' and pelvis': more than that in one control period are dropped and counted
 VELOCITY_QUEUE = 4  # likewise
 STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
@@ -59,6 +61,7 @@ class MotionManagerService:
         self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
         self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE)
         self._velocity = node.subscriber(VELOCITY.name, VelocityCommand, queue=VELOCITY_QUEUE)
+        self._pelvis = node.subscriber(PELVIS.name, PelvisSetpoint, queue=SETPOINT_QUEUE)
         self._behavior = node.server(
             BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle
         )
@@ -111,6 +114,8 @@ class MotionManagerService:
             manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
         for command in self._velocity.drain():
             manager.velocity_handler.handle(command, manager.time)
+        for pelvis in self._pelvis.drain():
+            manager.pelvis_handler.handle(pelvis, manager.time)
         self._motor.publish(manager.tick(proprioceptor))
         self._motion_state.publish(manager.report(time.perf_counter() - began))
         if manager.in_control and manager.silent:
@@ -136,8 +141,9 @@ class MotionManagerService:
             manager.rejections.total
             + self._setpoints.rejected
             + self._velocity.rejected
+            + self._pelvis.rejected
             + self._proprioceptor.rejected
             + self._behavior.rejected
             + self._footstep_plan.rejected
         )
-        self._statistics.drops = manager.missed + self._setpoints.drops + self._velocity.drops
+        self._statistics.drops = manager.missed + self._setpoints.drops + self._velocity.drops + self._pelvis.drops

@@ -18,6 +18,7 @@ from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
 from motion_manager.whole_body.elimination import UnsolvableError
 from motion_manager.whole_body.limits import JointLimits
+from motion_manager.whole_body.pelvis import PelvisReference
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from motion_manager.whole_body.reference import StandReference
 from motion_manager.whole_body.stance import Stance
@@ -44,6 +45,7 @@ class WholeBodyController:
 
     Attributes:
         step_source: where steps come from; None: the robot stands. A gait ends with the source it began with.
+        pelvis: where the pelvis shall be, led from outside.
         integral: (3,) of the DCM law [m]: what the model has wrong.
         qp_failures: periods without a solution since the controller was made.
     """
@@ -66,7 +68,9 @@ class WholeBodyController:
             table.dcm_integral_limit,
             table.dcm_integral_error,
         )
-        self._reference = StandReference(model, omega, self._upper_body)
+        self._legs = joints.group("left_leg", "right_leg")
+        self.pelvis = PelvisReference(model, self._legs)
+        self._reference = StandReference(model, omega, self._upper_body, self.pelvis)
         self._objective = Objective(table, joints)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * -float(model.mj.opt.gravity[2])
@@ -87,8 +91,6 @@ class WholeBodyController:
         )
         self._stance = Stance(table.stance_stiffness)
         self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
-        self._legs = joints.group("left_leg", "right_leg")
-        self._nominal: FloatArray = robot.nominal_posture[joints.places]
         self._integrated = np.array([robot.tables.joints[name].control != "force" for name in joints.names])
         self._integrated_places = np.arange(self._count)[joints.places][self._integrated]
         self._catch_up = CATCH_UP * robot.velocity_limit[joints.places]
@@ -151,6 +153,7 @@ class WholeBodyController:
         np.copyto(velocity, self._velocity, where=self._integrated)
         wanted = reference.position[places].copy()
         self._upper_body.update(wanted)
+        self.pelvis.advance(1e-9 * state.time)
         self._step(state, dt)
         self._reference.update(state, (self._gait.dcm, self._gait.vrp) if self._gait.active else None)
         self._operational_tasks(state, dt)
@@ -171,7 +174,7 @@ class WholeBodyController:
         if gait.active:
             gait.update(state, dt)
             self._stance.reset(state)
-        elif self.step_source is not None:
+        elif self.step_source is not None and self.pelvis.resting:
             gait.start(state, self.step_source, reference.centre_dcm, reference.centre_vrp)
         self._objective.swing(gait.swinging, self._walking.foot_weight)
         self._qp.rho_upper = self._contacts.upper(gait.load, self._weight)
@@ -201,6 +204,9 @@ class WholeBodyController:
         stiffness = self._table.orientation_stiffness
         wanted[CHEST] += stiffness * rotation.error(reference.chest, dynamics.chest_rotation)
         wanted[PELVIS] += stiffness * rotation.error(reference.pelvis, dynamics.rotation)
+        turning = self._table.orientation_damping * reference.turning
+        wanted[CHEST] += turning
+        wanted[PELVIS] += turning
         if not self._gait.active:
             self._stance.hold(state, wanted[SOLES])
         self._swing_task(state, velocity)
@@ -212,7 +218,7 @@ class WholeBodyController:
         table, places, legs = self._table, self._joints.places, self._legs
         rate, acceleration = reference.velocity[places].copy(), reference.acceleration[places].copy()
         s = self._reference.legs_blend
-        wanted[legs] = self._leg_start + s * (self._nominal[legs] - self._leg_start)
+        wanted[legs] = self._leg_start + s * (self.pelvis.legs - self._leg_start)
         rate[legs] = 0.0
         acceleration[legs] = 0.0
         wanted -= position

@@ -1,8 +1,9 @@
 """The reference of balance: from the state as it is, smoothly, to the nominal stance over the feet; or along a gait.
 
 All start values fade out by one minimum-jerk blend s(t) (Flash & Hogan 1985). The CoM ends over the support's centre at
-its nominal height, moved with the arms (``arms``); pelvis and chest end level, heading as the feet do. While the robot
-steps, DCM and VRP are those of its gait, moved with the arms likewise.
+its nominal height, moved with the arms (``arms``) and as the pelvis is led (``pelvis``); pelvis and chest end level,
+heading as the feet do, turned as the pelvis is led. While the robot steps, DCM and VRP are those of its gait, moved
+likewise.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
+from motion_manager.whole_body.pelvis import PelvisReference
 from motion_manager.whole_body.state import FloatArray, RobotState
 from valor_common.model import Model
 
@@ -65,19 +67,23 @@ class StandReference:
     Attributes:
         dcm: (3,), vrp: (3,) in odom [m].
         pelvis: (3, 3), chest: (3, 3) in odom.
+        turning: (3,) angular velocity of both, as the pelvis is led, in odom [rad/s].
         legs_blend: s, of the leg joints from where they were to nominal.
         centre_dcm: (3,), centre_vrp: (3,) the same of a robot with nominal arms.
     """
 
-    def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics) -> None:
+    def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics, pelvis: PelvisReference) -> None:
         robot = model.robot
         table, dt = robot.tables.whole_body, robot.control_period
         self._upper_body = upper_body
+        self._led = pelvis
         self._omega = omega
         self._duration = table.blend_duration
         limit = table.com_shift_limit
         self._limit = np.array((limit, limit, np.inf)) if limit else np.zeros(3)
         feet = robot.tables.feet
+        inside = min(foot.toe - foot.heel for foot in (feet.left, feet.right)) / 2.0 - robot.tables.pelvis.com_margin
+        self._inside = np.array((inside, inside, np.inf))
         centres = [((foot.heel + foot.toe) / 2.0, 0.0, 0.0) for foot in (feet.left, feet.right)]
         self._centres = np.array(centres)[:, :, None]
         self._height = np.array((0.0, 0.0, upper_body.nominal_com_height))
@@ -94,6 +100,7 @@ class StandReference:
         self.dcm, self.vrp = np.zeros(3), np.zeros(3)
         self.centre_dcm, self.centre_vrp = np.zeros(3), np.zeros(3)
         self.pelvis, self.chest = np.eye(3), np.eye(3)
+        self.turning = np.zeros(3)
         self.legs_blend = 0.0
 
     def reset(self, state: RobotState) -> None:
@@ -101,6 +108,7 @@ class StandReference:
         self._time = 0.0
         self._support = self._support_centre(state)
         level = _level(state)
+        self._led.reset()
         self._shift.reset(self._clipped_shift(level))
         self._com_offset = state.com_in_odom - self._support - self._shift.state[0]
         self._pelvis_offset = rotation.rotation_vector(state.pelvis_rotation_in_odom @ level.T)
@@ -117,8 +125,9 @@ class StandReference:
         self._time += self._dt
         level = _level(state)
         self._shift.update(self._clipped_shift(level))
-        self.pelvis = level
-        self.chest = level @ self._upper_body.chest_rotation()
+        self.pelvis = level @ self._led.rotation
+        self.chest = self.pelvis @ self._upper_body.chest_rotation()
+        self.turning = level @ self._led.angular_velocity
         self.legs_blend = 1.0
         self._support = self._support + (self._support_centre(state) - self._support) * self._support_gain
         self.centre_dcm = self.centre_vrp = self._support
@@ -148,10 +157,16 @@ class StandReference:
         return centre
 
     def _clipped_shift(self, level: FloatArray) -> FloatArray:
-        shift: FloatArray = level @ self._upper_body.com_displacement()
+        """(3,) of the CoM with the arms, limited, and with the pelvis; both together well inside the soles."""
+        led = self._led
+        shift: FloatArray = led.rotation @ self._upper_body.com_displacement()
         np.maximum(shift, -self._limit, out=shift)
         np.minimum(shift, self._limit, out=shift)
-        return shift
+        shift += led.com_displacement
+        np.maximum(shift, -self._inside, out=shift)
+        np.minimum(shift, self._inside, out=shift)
+        result: FloatArray = level @ shift
+        return result
 
 
 def _level(state: RobotState) -> FloatArray:

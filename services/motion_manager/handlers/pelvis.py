@@ -1,0 +1,56 @@
+"""``motion_manager/pelvis``: where the pelvis shall be while the robot stands; while it steps, its height alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bifrost import Received
+from motion_manager.behavior_fsm import BehaviorFsm
+from motion_manager.behaviors import Locomotion
+from motion_manager.handlers.joint_setpoints import STALE
+from motion_manager.rejections import Rejections
+from motion_manager.whole_body.pelvis import HEIGHT, PelvisReference
+from valor_common.messages import PelvisSetpoint
+from valor_common.topics import PELVIS
+
+STEPPING = (Locomotion.STEP, Locomotion.WALK)
+
+
+class PelvisHandler:
+    """Checks set-points, brings them within the limits of robot.yaml and hands them to the pelvis' reference."""
+
+    def __init__(self, fsm: BehaviorFsm, pelvis: PelvisReference, rejections: Rejections) -> None:
+        self._fsm = fsm
+        self._pelvis = pelvis
+        self._rejections = rejections
+
+    def handle(self, received: Received[PelvisSetpoint], now: int) -> bool:
+        """Follow a set-point or refuse it, at robot time ``now`` [ns]; returns whether it is followed."""
+        message = received.message
+        if fault := self._fault(message, now):
+            self._rejections.add(PELVIS.name, received.origin, *fault)
+            return False
+        pelvis = self._pelvis
+        position = np.clip(message.position, pelvis.lower, pelvis.upper)
+        pelvis.lead(position, message.velocity.copy(), 1e-9 * message.time)
+        return True
+
+    def _fault(self, message: PelvisSetpoint, now: int) -> tuple[str, str] | None:
+        """What kind of fault a message has, and the reason for a person."""
+        locomotion = self._fsm.locomotion
+        if locomotion is not Locomotion.STAND and locomotion not in STEPPING:
+            return "behavior", f"the pelvis is led while the robot stands; it is in behavior {self._fsm.behavior}"
+        for what, vector in (("position", message.position), ("velocity", message.velocity)):
+            if vector.shape != (6,):
+                return "length", f"{what} has {vector.size} numbers; expected 6: x, y, z, roll, pitch, yaw"
+            if not np.isfinite(vector).all():
+                return "number", f"{what} {vector.tolist()} is not finite"
+        age = 1e-9 * (now - message.time)
+        if abs(age) > STALE:
+            return "stale", f"made for a state {age:.3f} s old; expected at most {STALE} s"
+        if locomotion in STEPPING and np.abs(np.delete(message.position, HEIGHT)).max() > 0.0:
+            return (
+                "stepping",
+                f"in behavior {self._fsm.behavior} the pelvis' height alone is led; expected zeros beside it",
+            )
+        return None
