@@ -147,7 +147,7 @@ class PelvisSetpoint(Message):
     """Where the pelvis shall be while the robot stands: x, y, z [m], roll, pitch, yaw [rad] in the support frame.
 
     The support frame lies between the soles at their height and heads with them. x and y are from the pelvis'
-    nominal place over it; z is the pelvis' height. Roll, pitch and yaw turn about the fixed axes x, y, z, in this order.
+    nominal place over it; z is the pelvis' height. Roll, pitch and yaw turn about the fixed axes x, y, z, in order.
     """
 
     time: int  # of the Proprioceptor that it was made for
