@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from valor_common.robot import Foot
 
-FloatArray = npt.NDArray[np.float64]
 Points = Sequence[Sequence[float]]
 
 
-def outline(position: FloatArray, rotation: FloatArray, foot: Foot) -> list[list[float]]:
+def outline(position: npt.ArrayLike, rotation: npt.ArrayLike, foot: Foot) -> list[list[float]]:
     """The corners of a sole from above, in order around it: four of (x, y) [m].
 
     Args:
@@ -29,7 +28,7 @@ def outline(position: FloatArray, rotation: FloatArray, foot: Foot) -> list[list
             (foot.toe, -foot.half_width),
         )
     )
-    points: list[list[float]] = (corners @ rotation[:2, :2].T + position[:2]).tolist()
+    points: list[list[float]] = (corners @ np.asarray(rotation)[:2, :2].T + np.asarray(position)[:2]).tolist()
     return points
 
 

@@ -12,6 +12,7 @@ _PRIMITIVES = frozenset(
     {"bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16"}
     | {"int32", "uint32", "int64", "uint64", "string", "wstring"}
 )
+FEEDBACK = "_Feedback"  # ends the name of the type of an action's feedback
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"(?P<type>[A-Za-z][\w/]*)\S*\s+[A-Za-z]\w*(?P<constant>\s*=)?")
 
@@ -46,12 +47,16 @@ def definition(type_name: str) -> str:
 
 @cache
 def _read(type_name: str) -> str:
-    """The .msg file, from a sourced ROS 2 or from beside this Python's packages."""
+    """The .msg file, or the feedback of an .action, from a sourced ROS 2 or from beside this Python's packages."""
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     for prefix in filter(None, prefixes):
         try:
             package, kind, base = type_name.split("/")
-            return (Path(prefix) / "share" / package / kind / f"{base}.msg").read_text()
+            folder = Path(prefix) / "share" / package / kind
+            if kind == "action" and base.endswith(FEEDBACK):
+                _goal, _result, feedback = (folder / f"{base.removesuffix(FEEDBACK)}.action").read_text().split("\n---\n")
+                return feedback
+            return (folder / f"{base}.msg").read_text()
         except (ValueError, OSError):
             continue
     raise UnknownTypeError(f"{type_name} is not installed here")

@@ -11,12 +11,12 @@ from enum import Enum
 
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
 
-from footstep_converter.plan import RunningPlan
-from valor_common.messages import Footstep, StepStatus
+from footstep_converter.plan import PlannedStep, RunningPlan
+from valor_common.messages import StepStatus
 
 SILENCE = 2.0  # without a word of the Motion Manager, it is lost [s]
 START = 2.0  # from acceptance to the first step [s]
-SETTLE = 1.0  # from the return to Stand to the last word about the plan [s]
+SETTLE = 1.0  # in Stand, from the last word that steps are being taken to the last word about the plan [s]
 STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [s]
 
 STEPPING = {"step", "step_manipulate"}
@@ -66,39 +66,59 @@ def refusal(behavior: str, reason: str) -> Outcome:
     return aborted(_F.ERR_INVALID_BEHAVIOR_MODE | halt, reason)
 
 
+@dataclass(frozen=True)
+class Progress:
+    """Where a plan is. While it runs no index goes back, and performed ≤ executing < changeable."""
+
+    time: int  # robot time [ns]
+    queue_size: int
+    performed: int  # index of the last step done; before the first: one less than the plan's first
+    executing: int  # of the step being taken; of the last one done, between the last step and rest
+    changeable: int  # of the first step that can still be changed, at most one behind the last
+
+
 class Execution:
     """Follows a plan that the Motion Manager accepted.
 
     Attributes:
         plan: the steps as accepted, updates included.
         status: the Motion Manager's last word about this plan, None before the first.
+        progress: what is known of where the plan is.
         outcome: how it ended, None while it runs.
     """
 
-    def __init__(self, plan: Sequence[Footstep], now: float) -> None:
+    def __init__(self, plan: Sequence[PlannedStep], now: float) -> None:
         self.plan = list(plan)
         self.status: StepStatus | None = None
+        first = self.plan[0].index
+        self.progress = Progress(0, len(self.plan), first - 1, first - 1, first)
         self.outcome: Outcome | None = None
         self._accepted = now
         self._heard = now
         self._stepped = False  # the Motion Manager was seen in Step
-        self._stood_since: float | None = None  # back in Stand, having stepped
+        self._stood_since: float | None = None  # in Stand, having stepped, since the last word of steps being taken
+        self._stood_time = 0  # robot time at which it was heard to be in Stand [ns]
+        self._recalled = False  # steps were still being taken in Stand: somebody has changed the behavior
         self._stop_asked: float | None = None
         self._behavior = self._reason = ""
 
     @property
     def last_index(self) -> int:
         """Index of the plan's last step."""
-        return self.plan[-1].step_index
+        return self.plan[-1].index
+
+    @property
+    def stopping(self) -> bool:
+        """Whether it has been told to stop."""
+        return self._stop_asked is not None
 
     @property
     def running_plan(self) -> RunningPlan:
         """What an update may change."""
-        return RunningPlan(
-            self.plan, self.status.first_changeable_step_index if self.status else self.plan[0].step_index
-        )
+        changeable = self.status.first_changeable_step_index if self.status else self.plan[0].index
+        return RunningPlan(self.plan, changeable)
 
-    def update(self, plan: Sequence[Footstep], now: float) -> None:
+    def update(self, plan: Sequence[PlannedStep], now: float) -> None:
         """The Motion Manager accepted other steps from ``plan[0]`` on."""
         self.plan = self.running_plan.updated(plan)
         self._accepted = now
@@ -117,13 +137,24 @@ class Execution:
         if self.outcome is not None:
             return
         if status.state == "executing":
-            self.status = status
+            self._advance(status)
+            if self._stood_since is not None and status.time > self._stood_time:
+                self._stood_since, self._recalled = now, True
         elif self.status is not None:
-            self.status = status
+            self._advance(status)
             self._ended(status)
 
+    def _advance(self, status: StepStatus) -> None:
+        self.status = status
+        before = self.progress
+        performed = max(before.performed, status.last_performed_step_index)
+        executing = max(before.executing, status.executing_step_index, performed)
+        changeable = max(before.changeable, status.first_changeable_step_index, executing + 1)
+        self.progress = Progress(status.time, status.queue_size, performed, executing, changeable)
+
     def _ended(self, status: StepStatus) -> None:
-        if status.state == "finished" and status.last_performed_step_index == self.last_index:
+        # A plan that was told to end has a reason, however many steps it took.
+        if status.state == "finished" and not status.reason and status.last_performed_step_index == self.last_index:
             self.outcome = Outcome(End.SUCCEEDED, _F.REACHED_GOAL, ErrorStatus.NO_ERROR, "")
             return
         done, last = status.last_performed_step_index, self.last_index
@@ -132,11 +163,13 @@ class Execution:
             text += f": {status.reason}"
         if self._stop_asked is not None:
             self.outcome = Outcome(End.CANCELED, _PREMATURE, ErrorStatus.NO_ERROR, text)
+        elif self._recalled:
+            self.outcome = aborted(_WRONG_BEHAVIOR, text)
         else:
             self.outcome = aborted(_LEFT_FOR.get(self._behavior, _F.ERR_UNKNOWN | _PREMATURE), text)
 
-    def heard_behavior(self, behavior: str, reason: str, now: float) -> None:
-        """The behavior that the Motion Manager is in, and why it went there."""
+    def heard_behavior(self, behavior: str, reason: str, now: float, time: int = 0) -> None:
+        """The behavior that the Motion Manager is in at robot time ``time`` [ns], and why it went there."""
         self._heard = now
         self._behavior, self._reason = behavior, reason
         if self.outcome is not None:
@@ -145,7 +178,7 @@ class Execution:
             self._stepped, self._stood_since = True, None
         elif behavior in STANDING:
             if self._stepped and self._stood_since is None:
-                self._stood_since = now
+                self._stood_since, self._stood_time = now, time
         else:
             flags = _LEFT_FOR.get(behavior, _WRONG_BEHAVIOR)
             self.outcome = aborted(flags, f"the Motion Manager went to {behavior!r}: {reason}")

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import bifrost
-from valor_common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
+from footstep_converter.plan import PlannedStep
+from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
 from valor_common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 
 ANSWER = 2.0  # the Motion Manager answers a plan within this [s]
@@ -31,9 +32,10 @@ class MotionSystem:
         """Step statuses known lost."""
         return self._step_status.drops
 
-    def request(self, steps: Sequence[Footstep], answered: Callable[[], None]) -> Future[FootstepPlanReply]:
+    def request(self, steps: Sequence[PlannedStep], answered: Callable[[], None]) -> Future[FootstepPlanReply]:
         """Send a plan, or a stop (no steps); ``answered`` is called, from another thread, when the future is done."""
-        future = self._requests.submit(self._client.call, FootstepPlanRequest(steps=list(steps)), ANSWER)
+        request = FootstepPlanRequest(steps=[step.footstep() for step in steps])
+        future = self._requests.submit(self._client.call, request, ANSWER)
         future.add_done_callback(lambda _: answered())
         return future
 

@@ -1,7 +1,7 @@
-"""The loop: goals of the action in, plans out to the Motion Manager, and its words about them back.
+"""The loop: goals in, plans out to the Motion Manager, and its words about them back.
 
 At most one plan runs, and at most one request to the Motion Manager is open. A goal that comes while a plan runs
-updates it from the goal's first step on, or stops it if it has no steps (vigir_step_control's rules).
+updates it from the first step that can still be changed, or stops it if it has no steps (vigir_step_control's rules).
 """
 
 from __future__ import annotations
@@ -17,21 +17,32 @@ from rclpy.signals import SignalHandlerOptions
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
 
 import bifrost
-from footstep_converter.action import Goal, StepPlanAction
+from footstep_converter.clients import Clients, Goal
 from footstep_converter.execution import End, Execution, Outcome, aborted, refusal
+from footstep_converter.frames import Frames
 from footstep_converter.motion_system import ANSWER, MotionSystem
-from footstep_converter.plan import PlanError, convert
-from valor_common.messages import Footstep, FootstepPlanReply
+from footstep_converter.plan import Limits, PlanError, PlannedStep, check_size, convert, frame
+from valor_common.messages import FootstepPlanReply
 from valor_common.service import Context
 from valor_common.topics import FOOTSTEP_PLAN
+from valor_common.transforms import TooNewError, TransformError
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]
 FEEDBACK_PERIOD = 0.1  # [s]
 STOP_RETRY = 0.5  # from a stop that was not answered to the next [s]
+TRANSFORM_PATIENCE = 1.0  # for a transform as new as a plan's stamp [s]
 
 _F = FootstepExecutionStatus
 _log = logging.getLogger("footstep_converter")
+
+
+@dataclass
+class _Waiting:
+    """A plan whose frame is not known yet for its time."""
+
+    goal: Goal
+    deadline: float  # monotonic [s]
 
 
 @dataclass
@@ -39,12 +50,13 @@ class _Handover:
     """A plan on its way to the Motion Manager."""
 
     goal: Goal
-    steps: list[Footstep]  # none: stop
+    steps: list[PlannedStep]
+    changeable: int  # of the running plan that it changes, the first step that can be; -1: none runs
     reply: Future[FootstepPlanReply]
 
 
 class FootstepConverter:
-    """Serves ExecuteStepPlan on behalf of the Motion Manager."""
+    """Takes plans to the Motion Manager and its words about them back."""
 
     def __init__(self, context: Context) -> None:
         self._stopping = context.stopping
@@ -60,11 +72,14 @@ class FootstepConverter:
         self._executor = SingleThreadedExecutor(context=self._ros)
         self._node = rclpy.create_node("footstep_converter", context=self._ros, enable_rosout=False)
         self._executor.add_node(self._node)
-        self._action = StepPlanAction(self._node, self._executor, self._begin, self._cancel)
+        self._frames = Frames(self._node)
+        self._clients = Clients(self._node, self._executor, self._begin, self._cancel)
 
+        self._waiting: _Waiting | None = None
         self._handover: _Handover | None = None
         self._goal: Goal | None = None  # whose plan runs
         self._execution: Execution | None = None
+        self._stop_goals: list[Goal] = []  # that asked for the running plan's end
         self._stop: Future[FootstepPlanReply] | None = None  # a stop on its way
         self._stop_wanted = False
         self._next_stop = self._next_feedback = 0.0
@@ -79,51 +94,89 @@ class FootstepConverter:
     def close(self) -> None:
         """Leave ROS and Bifrost."""
         self._motion.close()
-        self._action.close()
+        self._clients.close()
         self._executor.shutdown()
         self._node.destroy_node()
         self._ros.try_shutdown()
 
     def _turn(self) -> None:
-        busy = self._execution is not None or self._handover is not None
-        self._executor.spin_once(timeout_sec=ACTIVE_PERIOD if busy else IDLE_PERIOD)
-        self._take_answer()
+        idle = self._execution is None and self._handover is None and self._waiting is None and not self._stop_wanted
+        self._executor.spin_once(timeout_sec=IDLE_PERIOD if idle else ACTIVE_PERIOD)
+        self._look_again()
         self._follow()
+        self._take_answer()
         self._statistics.drops = self._motion.drops
         self._statistics.idle()
 
     # --- goals --------------------------------------------------------------------------------------------------
 
     def _begin(self, goal: Goal) -> None:
-        """A new goal: convert its plan and hand it over, or refuse it."""
+        """A new goal: a plan to hand over, or a stop."""
         if goal.cancel_requested:
             goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "canceled before it was handed over"))
-            return
+        elif not goal.plan.steps and self._busy:
+            self._stop_goals.append(goal)
+            self._stop_wanted = True
+            goal.progress(self._execution)
+        else:
+            self._take(goal, time.monotonic() + TRANSFORM_PATIENCE)
+
+    @property
+    def _busy(self) -> bool:
+        """Whether there is a plan to stop."""
+        return self._execution is not None or self._handover is not None or self._waiting is not None
+
+    def _take(self, goal: Goal, deadline: float) -> None:
+        """Convert a goal's plan and hand it over, refuse it, or wait until ``deadline`` for where its frame is."""
         try:
             steps = self._convert(goal)
+        except TooNewError as error:
+            if time.monotonic() < deadline:
+                self._waiting = _Waiting(goal, deadline)
+            else:
+                self._refuse(goal, _not_in_odom(f"{error}, and none came within {TRANSFORM_PATIENCE:g} s"))
+        except TransformError as error:
+            self._refuse(goal, _not_in_odom(str(error)))
         except PlanError as error:
-            self._statistics.rejected += 1
-            _log.warning("plan refused: %s", error)
-            goal.end(Outcome(End.ABORTED, error.status, error.error, str(error)))
-            return
-        if self._execution is not None and not steps:
-            self._execution.stop_asked(time.monotonic())
-        self._handover = _Handover(goal, steps, self._motion.request(steps, self._executor.wake))
-        goal.progress(None)
+            self._refuse(goal, error)
+        else:
+            running = self._execution.running_plan.first_changeable if self._execution is not None else -1
+            self._handover = _Handover(goal, steps, running, self._motion.request(steps, self._executor.wake))
+            goal.progress(None)
 
-    def _convert(self, goal: Goal) -> list[Footstep]:
-        if self._handover is not None:
-            text = "another plan is being handed to the Motion Manager; send this one again"
-            raise PlanError(_F.ERR_CONTROLLER_NOT_READY, ErrorStatus.ERR_INCONSISTENT_REQUEST, text)
-        limits = self._robot.tables.footsteps
-        if limits is None:
+    def _refuse(self, goal: Goal, error: PlanError) -> None:
+        self._statistics.rejected += 1
+        _log.warning("plan refused: %s", error)
+        goal.end(Outcome(End.ABORTED, error.status, error.error, str(error)))
+
+    def _convert(self, goal: Goal) -> list[PlannedStep]:
+        if self._handover is not None or self._waiting is not None:
+            raise _not_now("another plan is being handed to the Motion Manager; send this one again")
+        if self._execution is not None and (self._execution.stopping or self._stop_wanted):
+            raise _not_now("the running plan is being stopped; send this one again when the robot stands")
+        footsteps = self._robot.tables.footsteps
+        if footsteps is None:
             text = f"robot {self._robot.name!r} takes no footstep plans: its robot.yaml has no footsteps"
             raise PlanError(_F.ERR_CONTROLLER_NOT_READY, ErrorStatus.ERR_INVALID_PARAMETERS, text)
-        if self._execution is None:
-            return convert(goal.plan, limits)
-        if not goal.plan.steps:
-            return []
-        return convert(goal.plan, limits, self._execution.running_plan)
+        limits, plan = Limits(footsteps, self._robot.tables.feet), goal.plan
+        check_size(plan, limits)
+        stamp = plan.header.stamp
+        to_odom = self._frames.in_odom(frame(plan), stamp.sec * 10**9 + stamp.nanosec)
+        running = self._execution.running_plan if self._execution is not None else None
+        return convert(plan, limits, running, to_odom)
+
+    def _look_again(self) -> None:
+        """Whether the transform that a plan waits for has come."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is None:
+            return
+        if waiting.goal.cancel_requested or self._stop_wanted:
+            self._stop_wanted = self._execution is not None or self._handover is not None
+            waiting.goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "stopped before it began"))
+            if not self._stop_wanted:
+                self._end_stop_goals(_STOPPED)
+        else:
+            self._take(waiting.goal, waiting.deadline)
 
     def _cancel(self, goal: Goal) -> None:
         """A client no longer wants its plan: once it runs, stop it; on its way, stop it when it is accepted."""
@@ -141,13 +194,7 @@ class FootstepConverter:
         now = time.monotonic()
         refused = self._refused(handover.reply)
         if refused is not None:
-            self._statistics.rejected += 1
-            _log.warning("plan not taken: %s", refused.text)
-            handover.goal.end(refused)
-            if self._execution is not None and not handover.steps:
-                self._execution.stop_refused()
-        elif not handover.steps:
-            self._stopped_by(handover.goal)
+            self._not_taken(handover, refused)
         elif self._execution is not None:
             self._update(handover, now)
         else:
@@ -155,9 +202,12 @@ class FootstepConverter:
             self._motion.watch(True)
             self._execution = Execution(handover.steps, now)
             self._goal = handover.goal
+            self._next_feedback = now
             _log.info("plan of %d steps accepted", len(handover.steps))
         if self._goal is not None and self._goal.cancel_requested:
             self._stop_wanted = True
+        if self._execution is None:
+            self._end_stop_goals(_STOPPED)
 
     def _refused(self, reply: Future[FootstepPlanReply]) -> Outcome | None:
         """Why the Motion Manager does not execute a plan; None: it does."""
@@ -174,15 +224,21 @@ class FootstepConverter:
             return aborted(_F.ERR_UNKNOWN, f"{FOOTSTEP_PLAN.name}: {error}")
         return None if answer.accepted else refusal(answer.behavior, answer.reason)
 
-    def _stopped_by(self, goal: Goal) -> None:
-        """The Motion Manager took the stop that a goal without steps asked for."""
-        goal.end(Outcome(End.SUCCEEDED, _F.PREMATURE_HALT, ErrorStatus.NO_ERROR, "the running plan was told to stop"))
+    def _not_taken(self, handover: _Handover, refused: Outcome) -> None:
+        execution = self._execution
+        if execution is not None and execution.running_plan.first_changeable > handover.changeable >= 0:
+            # While it was on its way the step that it began to change with has begun: change what comes behind.
+            self._take(handover.goal, time.monotonic())
+            return
+        self._statistics.rejected += 1
+        _log.warning("plan not taken: %s", refused.text)
+        handover.goal.end(refused)
 
     def _update(self, handover: _Handover, now: float) -> None:
         """The Motion Manager took a goal's steps into the running plan: the goal before it has given way."""
         assert self._execution is not None
         assert self._goal is not None
-        first = handover.steps[0].step_index
+        first = handover.steps[0].index
         text = f"a newer plan took over from step {first} on"
         self._goal.end(aborted(_F.UPDATED_STEP_PLAN, text, ErrorStatus.NO_ERROR), self._execution)
         self._execution.update(handover.steps, now)
@@ -199,29 +255,39 @@ class FootstepConverter:
         if execution is None or goal is None:
             return
         if (state := self._motion.behavior()) is not None:
-            execution.heard_behavior(state.behavior, state.reason, now)
+            execution.heard_behavior(state.behavior, state.reason, now, state.time)
         for status in self._motion.step_statuses():
             execution.heard_status(status, now)
         execution.passed(now)
         if execution.outcome is not None:
             self._end(execution, goal, execution.outcome)
         elif now >= self._next_feedback:
-            self._next_feedback = now + FEEDBACK_PERIOD
+            self._next_feedback = max(self._next_feedback + FEEDBACK_PERIOD, now)
             goal.progress(execution)
 
     def _end(self, execution: Execution, goal: Goal, outcome: Outcome) -> None:
         _log.info("plan %s after %d steps: %s", outcome.end.value, len(execution.plan), outcome.text or "goal reached")
         self._stop_wanted = outcome.unconfirmed  # a plan that we no longer follow must not go on unseen
         goal.end(outcome, execution)
+        if outcome.end is End.ABORTED:
+            self._end_stop_goals(outcome)
+        else:
+            self._end_stop_goals(_STOPPED)
         self._execution = self._goal = None
         self._motion.watch(False)
+
+    def _end_stop_goals(self, outcome: Outcome) -> None:
+        """What was to be stopped has ended."""
+        for goal in self._stop_goals:
+            goal.end(outcome)
+        self._stop_goals = []
 
     def _send_stop(self, now: float) -> None:
         """Tell the Motion Manager to stop, until it answers or there is nothing left to stop."""
         if self._stop is not None and self._stop.done():
             self._stop_answered(self._stop, now)
             self._stop = None
-        if self._stop_wanted and self._stop is None and now >= self._next_stop:
+        if self._stop_wanted and self._stop is None and self._handover is None and now >= self._next_stop:
             self._stop_wanted = False
             self._stop = self._motion.request([], self._executor.wake)
             if self._execution is not None:
@@ -244,12 +310,29 @@ class FootstepConverter:
 
     def _wind_up(self) -> None:
         """Told to stop in mid-plan: nobody would follow it, so it stops too, and its client hears why."""
-        if not self._action.open_goals:
+        goals = self._clients.open_goals
+        if not goals and self._goal is None and self._handover is None:
             return
         stop = self._motion.request([], self._executor.wake)
         text = "the footstep converter is stopping; the plan was told to stop"
-        for goal in self._action.open_goals:
-            goal.end(aborted(_F.PREMATURE_HALT | _F.ERR_CONTROLLER_NOT_READY, text))
+        outcome = aborted(_F.PREMATURE_HALT | _F.ERR_CONTROLLER_NOT_READY, text)
+        if self._goal is not None:
+            self._goal.end(outcome, self._execution)
+        for goal in goals:
+            goal.end(outcome)
         deadline = time.monotonic() + ANSWER
-        while (self._action.open_goals or not stop.done()) and time.monotonic() < deadline:
+        while (self._clients.open_goals or not stop.done()) and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=ACTIVE_PERIOD)
+
+
+_STOPPED = Outcome(End.SUCCEEDED, _F.PREMATURE_HALT, ErrorStatus.NO_ERROR, "the running plan has ended")
+
+
+def _not_now(text: str) -> PlanError:
+    return PlanError(_F.ERR_CONTROLLER_NOT_READY, ErrorStatus.ERR_INCONSISTENT_REQUEST, text)
+
+
+def _not_in_odom(text: str) -> PlanError:
+    return PlanError(
+        _F.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, f"the plan cannot be put in odom: {text}"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,8 +15,11 @@ import psutil
 import pytest
 import rclpy
 from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import TransformStamped
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tf2_msgs.msg import TFMessage
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
@@ -26,6 +30,7 @@ from valor_common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MO
 
 S = FootstepExecutionStatus
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
+FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
 LIMIT = 30.0  # for anything to happen on a loaded machine [s]
 
 
@@ -62,6 +67,10 @@ class ScriptedMotionManager:
             executing_step_index=executing,
             first_changeable_step_index=more.get("changeable", -1),
         )
+
+    def publish(self, status: StepStatus) -> None:
+        """Say it now."""
+        self._status.publish(status)
 
     def _run(self) -> None:
         three, four = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
@@ -102,10 +111,10 @@ class Client:
     def __init__(self, domain: int) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self._node = rclpy.create_node("planner", context=self._context)
-        self._client = ActionClient(self._node, ExecuteStepPlan, ACTION)
+        self.node = rclpy.create_node("planner", context=self._context)
+        self._client = ActionClient(self.node, ExecuteStepPlan, ACTION)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         self._thread = ThreadPoolExecutor(1)
         self._spinning = self._thread.submit(self._executor.spin)
         assert self._client.wait_for_server(LIMIT), f"no {ACTION}"
@@ -132,7 +141,7 @@ class Client:
         self._spinning.result(LIMIT)
         self._thread.shutdown()
         self._client.destroy()
-        self._node.destroy_node()
+        self.node.destroy_node()
         self._context.try_shutdown()
 
 
@@ -221,7 +230,7 @@ def test_a_broken_plan_is_refused_and_nothing_forwarded(
     endless = plan()
     endless.steps = endless.steps * 5000
     for broken, flag, error, text in [
-        (elsewhere, S.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INCONSISTENT_STEP_PLAN, "frame 'map'"),
+        (elsewhere, S.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, "frame 'map' is not known to tf"),
         (far, S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP, "step 2 (left): forward of the other foot"),
         (endless, S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, "20000 steps"),
         (StepPlan(), S.ERR_EMPTY_PLAN, ErrorStatus.ERR_INCONSISTENT_REQUEST, "no steps"),
@@ -293,23 +302,72 @@ def test_a_canceled_plan_stops(motion: ScriptedMotionManager, ros_client: Client
 def test_a_plan_without_steps_stops_the_one_that_runs(motion: ScriptedMotionManager, ros_client: Client) -> None:
     goal = begin(motion, ros_client)
     stop = ros_client.send(StepPlan())
-    assert ros_client.outcome(stop)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.PREMATURE_HALT)
-    assert not motion.requests[-1].steps
-    motion.says("finished", performed=1, reason="stopped")
+    wait_until(lambda: not motion.requests[-1].steps, LIMIT, "the stop at the Motion Manager")
+    refused = ros_client.send(plan(first=2))
+    assert "is being stopped" in ros_client.outcome(refused)[2]
+    assert goal.result is None
+    assert stop.result is None
+    motion.says("finished", performed=2, reason="stopped")
     assert ros_client.outcome(goal)[:2] == (GoalStatus.STATUS_ABORTED, S.PREMATURE_HALT)
+    assert ros_client.outcome(stop)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.PREMATURE_HALT)
+    assert [len(request.steps) for request in motion.requests] == [4, 0]
 
 
-def test_an_update_takes_over(motion: ScriptedMotionManager, ros_client: Client) -> None:
+def test_an_update_takes_over_from_where_the_robot_is(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    """The planner's second plan begins with a step that has been taken, and everything in it lies 5 cm to the left."""
     goal = begin(motion, ros_client)
-    late = ros_client.send(plan(first=1))
-    assert ros_client.outcome(late)[1] == S.ERR_INVALID_INCONSISTENT_INDICES
-    update = ros_client.send(plan(first=2, count=6))
+    gap = ros_client.send(plan(first=5))
+    assert ros_client.outcome(gap)[1] == S.ERR_INVALID_INCONSISTENT_INDICES
+    shifted = plan(first=1, count=7)
+    for step in shifted.steps:
+        step.foot.pose.position.y += 0.05
+    update = ros_client.send(shifted)
     status, flags, text = ros_client.outcome(goal)
     assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.UPDATED_STEP_PLAN)
     assert "from step 2 on" in text
-    motion.says("finished", performed=7)
+    sent = motion.requests[1].steps
+    assert [step.step_index for step in sent] == [2, 3, 4, 5, 6, 7]
+    for step, straight in zip(sent, plan(first=2, count=6).steps, strict=True):
+        p = straight.foot.pose.position
+        np.testing.assert_allclose(step.position_in_odom, [p.x, p.y, p.z], atol=1e-9)
+    motion.says("executing", performed=6, executing=7, changeable=8)
+    wait_until(lambda: any(f.currently_executing_step_index == 7 for f in update.feedback), LIMIT, "the last step")
+    seen = next(f for f in reversed(update.feedback) if f.currently_executing_step_index == 7)
+    assert [step.step_index for step in seen.feedback.steps] == list(range(8))
+    assert {step.header.frame_id for step in seen.feedback.steps} == {"odom"}
+    more = ros_client.send(plan(first=8, count=2))  # behind the last step, while it is taken
+    assert ros_client.outcome(update)[1] == S.UPDATED_STEP_PLAN
+    motion.says("finished", performed=9)
+    assert ros_client.outcome(more)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL)
+    assert len(motion.requests) == 3
+    for heard in (goal, update, more):
+        indices = [
+            (f.last_performed_step_index, f.currently_executing_step_index, f.first_changeable_step_index)
+            for f in heard.feedback
+            if f.controller_state != f.READY
+        ]
+        assert all(performed <= executing < changeable for performed, executing, changeable in indices)
+        assert indices == sorted(indices)
+
+
+def test_an_update_that_comes_a_step_too_late_changes_what_comes_behind(
+    motion: ScriptedMotionManager, ros_client: Client
+) -> None:
+    goal = begin(motion, ros_client)
+
+    def too_late(request: FootstepPlanRequest) -> tuple[bool, str]:
+        if request.steps[0].step_index > 2:
+            return True, ""
+        motion.says("executing", performed=1, executing=2, queue=1, changeable=3)
+        assert motion.step_status is not None
+        motion.publish(motion.step_status)
+        return False, "step 2 cannot be changed now"
+
+    motion.accepts = too_late
+    update = ros_client.send(plan(first=2, count=4))
+    assert "from step 3 on" in ros_client.outcome(goal)[2]
+    motion.says("finished", performed=5)
     assert ros_client.outcome(update)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL)
-    assert len(motion.requests) == 2
 
 
 def test_a_refused_update_leaves_the_plan_running(motion: ScriptedMotionManager, ros_client: Client) -> None:
@@ -319,6 +377,74 @@ def test_a_refused_update_leaves_the_plan_running(motion: ScriptedMotionManager,
     assert ros_client.outcome(update)[2] == "too late for step 2"
     motion.says("finished", performed=3)
     assert ros_client.outcome(goal)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL)
+
+
+class Tf:
+    """A node that says where the frame ``map`` is."""
+
+    def __init__(self, client: Client) -> None:
+        self._publisher = client.node.create_publisher(TFMessage, "/tf", 100)
+
+    def says(self, seconds: int, x: float, child: str = "map") -> None:
+        """``child`` is ``x`` [m] ahead in odom at a time [s], and heads to the left."""
+        transform = TransformStamped(child_frame_id=child)
+        transform.header.frame_id = "odom"
+        transform.header.stamp.sec = seconds
+        transform.transform.translation.x = x
+        transform.transform.rotation.z = transform.transform.rotation.w = math.sqrt(0.5)
+        self._publisher.publish(TFMessage(transforms=[transform]))
+
+
+def test_a_plan_in_another_frame_is_put_in_odom(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    tf = Tf(ros_client)
+    elsewhere = plan()
+    elsewhere.header.frame_id = "map"
+
+    def known() -> bool:
+        """Whether the converter hears tf: it says that a plan is older than what it has heard."""
+        tf.says(100, 1.0)
+        tf.says(101, 2.0)
+        elsewhere.header.stamp.sec = 1
+        return "before the oldest" in ros_client.outcome(ros_client.send(elsewhere))[2]
+
+    wait_until(known, LIMIT, "tf at the converter", period=0.2)
+    elsewhere.header.stamp.sec = 200
+    assert "ahead of the newest transform, and none came" in ros_client.outcome(ros_client.send(elsewhere))[2]
+    assert not motion.requests
+
+    elsewhere.header.stamp.sec, elsewhere.header.stamp.nanosec = 101, 500_000_000  # a little ahead of tf
+    goal = ros_client.send(elsewhere)
+    wait_until(lambda: goal.handle, LIMIT, "the goal")
+    tf.says(102, 3.0)
+    wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
+    for step, straight in zip(motion.requests[0].steps, elsewhere.steps, strict=True):
+        p = straight.foot.pose.position
+        np.testing.assert_allclose(step.position_in_odom, [2.5 - p.y, p.x, p.z], atol=1e-9)
+        np.testing.assert_allclose(step.orientation_in_odom, [math.sqrt(0.5), 0, 0, math.sqrt(0.5)], atol=1e-9)
+
+
+def test_a_tool_may_publish_its_plan(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    heard: list[Any] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    ros_client.node.create_subscription(ExecuteStepPlan.Feedback, FEEDBACK, heard.append, latched)
+    publisher = ros_client.node.create_publisher(StepPlan, ACTION, 1)
+    wait_until(publisher.get_subscription_count, LIMIT, "the converter's subscription")
+    wrong = plan(count=3)
+    wrong.steps[1].step_index = 7
+    publisher.publish(wrong)
+    wait_until(lambda: heard and heard[-1].stepping_status == S.ERR_INVALID_INCONSISTENT_INDICES, LIMIT, "the refusal")
+    assert "step 7 stands where step 1 was expected" in heard[-1].status.error_msg
+    publisher.publish(plan())
+    wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
+    motion.behavior = "step"
+    motion.says("executing", performed=0, executing=1, queue=2, changeable=2)
+    wait_until(lambda: heard[-1].currently_executing_step_index == 1, LIMIT, "step 1")
+    publisher.publish(StepPlan())
+    wait_until(lambda: not motion.requests[-1].steps, LIMIT, "the stop")
+    motion.behavior = "stand"
+    motion.says("finished", performed=2, reason="stopped")
+    wait_until(lambda: heard[-1].controller_state in (heard[-1].FINISHED, heard[-1].FAILED), LIMIT, "the end")
+    assert S.PREMATURE_HALT in [feedback.stepping_status for feedback in heard]
 
 
 def test_stopping_the_converter_stops_the_plan_and_tells_the_client(

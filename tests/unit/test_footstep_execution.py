@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
+from itertools import pairwise
+
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 
 from footstep_converter.execution import SETTLE, SILENCE, START, STOP, End, Execution, refusal
-from valor_common.messages import Footstep, StepStatus
+from footstep_converter.plan import PlannedStep
+from valor_common.messages import StepStatus
+from valor_common.poses import Pose
 
 S = FootstepExecutionStatus
 
 
-def plan(first: int, last: int) -> list[Footstep]:
-    return [
-        Footstep(
-            step_index=i,
-            foot=i % 2,
-            position_in_odom=np.zeros(3),
-            orientation_in_odom=np.array([1.0, 0.0, 0.0, 0.0]),
-            swing_height=0.0,
-            swing_duration=0.0,
-            transfer_duration=0.0,
-        )
-        for i in range(first, last + 1)
-    ]
+def plan(first: int, last: int) -> list[PlannedStep]:
+    return [PlannedStep(i, i % 2, Pose(), 0.0, 0.0, 0.0) for i in range(first, last + 1)]
+
+
+def changed(word: StepStatus, **values: int) -> StepStatus:
+    """A copy with other values."""
+    return msgspec.structs.replace(word, **values)
 
 
 def status(state: str, performed: int = -1, reason: str = "", changeable: int = -1) -> StepStatus:
@@ -113,6 +111,47 @@ def test_the_return_to_stand_without_a_word_is_a_failure(execution: Execution) -
     assert "went to 'stand' before the plan's end: commanded" in execution.outcome.text
 
 
+def test_a_change_to_stand_in_mid_plan_is_told_once_the_robot_has_come_to_rest(execution: Execution) -> None:
+    """The Motion Manager takes its time to finish the step that is being taken, and says so meanwhile."""
+    execution.heard_behavior("step", "", 0.1)
+    execution.heard_status(status("executing", 0), 0.1)
+    execution.heard_behavior("stand", "requested by valor_ros_controller", 1.0, time=10)
+    for i in range(20):
+        execution.heard_status(changed(status("executing", 0), time=20 + i), 1.0 + 0.5 * i * SETTLE)
+        execution.passed(1.0 + 0.5 * i * SETTLE)
+        assert execution.outcome is None
+    execution.heard_status(status("finished", 1, "stand: requested by valor_ros_controller"), 12.0)
+    assert execution.outcome is not None
+    assert execution.outcome.status == S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT
+    assert "after step 1 of 3: stand: requested by" in execution.outcome.text
+
+
+def test_a_plan_that_is_told_to_end_did_not_reach_its_goal_however_many_steps_it_took(execution: Execution) -> None:
+    execution.heard_status(status("executing", 1), 0.1)
+    execution.heard_status(status("finished", 3, "stopped by somebody"), 1.0)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.ABORTED
+
+
+indices = st.integers(-1, 9)
+
+
+@given(st.lists(st.tuples(indices, indices, indices), max_size=20))
+def test_no_index_of_the_progress_goes_back(words: list[tuple[int, int, int]]) -> None:
+    execution = Execution(plan(0, 9), 0.0)
+    seen = [execution.progress]
+    for performed, executing, changeable in words:
+        execution.heard_status(
+            changed(status("executing", performed, changeable=changeable), executing_step_index=executing), 0.1
+        )
+        seen.append(execution.progress)
+    for before, after in pairwise(seen):
+        assert before.performed <= after.performed
+        assert before.executing <= after.executing
+        assert before.changeable <= after.changeable
+        assert after.performed <= after.executing < after.changeable
+
+
 def test_standing_before_the_first_step_is_no_return(execution: Execution) -> None:
     execution.heard_behavior("stand", "", 0.1)
     execution.passed(0.1 + 1.1 * SETTLE)
@@ -167,7 +206,7 @@ def test_a_stop_never_confirmed_is_named(execution: Execution) -> None:
 def test_an_update_moves_the_goal(execution: Execution) -> None:
     execution.heard_status(status("executing", changeable=2), 0.1)
     execution.update(plan(2, 7), 0.2)
-    assert [step.step_index for step in execution.plan] == list(range(8))
+    assert [step.index for step in execution.plan] == list(range(8))
     execution.heard_status(status("executing", 3), 0.3)
     assert execution.outcome is None
     execution.heard_status(status("finished", 7), 0.4)

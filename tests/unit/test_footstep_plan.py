@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
-from footstep_converter.plan import PlanError, RunningPlan, convert
+from footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
+from valor_common.poses import Pose, level
 from valor_common.robot import Footsteps, RobotDescription
+from valor_common.soles import outline, overlap
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 assert ROBOT.tables.footsteps is not None
-LIMITS: Footsteps = ROBOT.tables.footsteps
+REACH: Footsteps = ROBOT.tables.footsteps
+LIMITS = Limits(REACH, ROBOT.tables.feet)
 S = FootstepExecutionStatus
 
 
@@ -83,17 +86,26 @@ def within(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(low, high, allow_nan=False)
 
 
+def apart(move: Move) -> bool:
+    """Whether a sole that moves so from the other's place is not on it: a left one, from a right one at the origin."""
+    turned = level(move.forward, move.width, 0.0, move.turn) @ Pose(orientation=quaternion(0.0, move.pitch))
+    return not overlap(
+        outline((0.0, 0.0), np.eye(3), ROBOT.tables.feet.right),
+        outline(turned.position, turned.rotation, ROBOT.tables.feet.left),
+    )
+
+
 moves = st.builds(
     Move,
-    forward=within(-LIMITS.max_backward, LIMITS.max_forward),
-    width=within(LIMITS.min_width, LIMITS.max_width),
-    up=within(-LIMITS.max_down, LIMITS.max_up),
-    turn=within(-LIMITS.max_yaw, LIMITS.max_yaw),
-    pitch=within(-LIMITS.max_tilt, LIMITS.max_tilt).map(lambda tilt: 0.99 * tilt),
-    swing_height=within(0.0, LIMITS.max_swing_height),
-    step_duration=st.just(0.0) | within(LIMITS.min_swing_duration, LIMITS.max_swing_duration),
-    sway_duration=st.just(0.0) | within(LIMITS.min_transfer_duration, LIMITS.max_transfer_duration),
-)
+    forward=within(-REACH.max_backward, REACH.max_forward),
+    width=within(REACH.min_width, REACH.max_width),
+    up=within(-REACH.max_down, REACH.max_up),
+    turn=within(-REACH.max_yaw, REACH.max_yaw),
+    pitch=within(-REACH.max_tilt, REACH.max_tilt).map(lambda tilt: 0.99 * tilt),
+    swing_height=within(0.0, REACH.max_swing_height),
+    step_duration=st.just(0.0) | within(REACH.min_swing_duration, REACH.max_swing_duration),
+    sway_duration=st.just(0.0) | within(REACH.min_transfer_duration, REACH.max_transfer_duration),
+).filter(apart)
 plans = st.builds(
     make_plan, st.lists(moves, min_size=1, max_size=6), st.sampled_from([Foot.LEFT, Foot.RIGHT]), st.just(0)
 )
@@ -103,8 +115,8 @@ plans = st.builds(
 def test_a_good_plan_converts_exactly(plan: StepPlan) -> None:
     footsteps = convert(plan, LIMITS)
     assert len(footsteps) == len(plan.steps)
-    for footstep, step in zip(footsteps, plan.steps, strict=True):
-        pose = step.foot.pose
+    for planned, step in zip(footsteps, plan.steps, strict=True):
+        footstep, pose = planned.footstep(), step.foot.pose
         assert footstep.step_index == step.step_index
         assert footstep.foot == step.foot.foot_index
         assert footstep.position_in_odom.tolist() == [pose.position.x, pose.position.y, pose.position.z]
@@ -132,14 +144,14 @@ def test_a_plan_with_any_number_not_finite_is_refused(plan: StepPlan, data: st.D
 
 
 EXCESSES: dict[str, tuple[str, float, float]] = {
-    "forward": ("forward of the other foot", -LIMITS.max_backward, LIMITS.max_forward),
-    "width": ("width between the feet", LIMITS.min_width, LIMITS.max_width),
-    "up": ("height above the other foot", -LIMITS.max_down, LIMITS.max_up),
-    "turn": ("turned from the other foot", -LIMITS.max_yaw, LIMITS.max_yaw),
-    "pitch": ("tilt of the sole", -LIMITS.max_tilt, LIMITS.max_tilt),
-    "swing_height": ("swing_height", 0.0, LIMITS.max_swing_height),
-    "step_duration": ("step_duration", LIMITS.min_swing_duration, LIMITS.max_swing_duration),
-    "sway_duration": ("sway_duration", LIMITS.min_transfer_duration, LIMITS.max_transfer_duration),
+    "forward": ("forward of the other foot", -REACH.max_backward, REACH.max_forward),
+    "width": ("width between the feet", REACH.min_width, REACH.max_width),
+    "up": ("height above the other foot", -REACH.max_down, REACH.max_up),
+    "turn": ("turned from the other foot", -REACH.max_yaw, REACH.max_yaw),
+    "pitch": ("tilt of the sole", -REACH.max_tilt, REACH.max_tilt),
+    "swing_height": ("swing_height", 0.0, REACH.max_swing_height),
+    "step_duration": ("step_duration", REACH.min_swing_duration, REACH.max_swing_duration),
+    "sway_duration": ("sway_duration", REACH.min_transfer_duration, REACH.max_transfer_duration),
 }
 
 
@@ -170,6 +182,19 @@ def test_the_feet_may_not_meet_whatever_their_heading() -> None:
         convert(plan, LIMITS)
 
 
+@pytest.mark.parametrize("first_foot", [Foot.LEFT, Foot.RIGHT])
+def test_no_foot_is_set_on_the_other(first_foot: int) -> None:
+    """Within all limits, and yet toe on toe: as narrow as may be, and turned inwards."""
+    inwards = -0.4 if first_foot == Foot.LEFT else 0.4
+    narrow = replace(MOVE, width=REACH.min_width, forward=0.0)
+    assert convert(make_plan([narrow], first_foot), LIMITS)
+    turned = replace(narrow, turn=inwards)
+    with pytest.raises(PlanError, match=r"step 0 \(\w+\): it would stand on the (left|right) foot") as refused:
+        convert(make_plan([turned], first_foot), LIMITS)
+    assert (refused.value.status, refused.value.error) == (S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP)
+    assert convert(make_plan([replace(turned, width=0.3)], first_foot), LIMITS)
+
+
 def twice_the_same_foot(plan: StepPlan) -> None:
     plan.steps[2].foot.foot_index = plan.steps[1].foot.foot_index
 
@@ -195,8 +220,8 @@ INCONSISTENT, INDICES, INVALID = (
 # fmt: off
 BREAKS = [
     (set_to("steps", []), S.ERR_EMPTY_PLAN, "no steps"),
-    (set_to("header.frame_id", "map"), INCONSISTENT, "frame 'map'; only 'odom'"),
-    (set_to("header.frame_id", ""), INCONSISTENT, "frame ''; only 'odom'"),
+    (set_to("header.frame_id", "map"), INCONSISTENT, "start feet are in frame 'odom', the plan in 'map'"),
+    (set_to("header.frame_id", ""), INCONSISTENT, "the plan names no frame"),
     (set_to("steps[1].header.frame_id", "map"), INCONSISTENT, r"step 1 \(right\): in frame 'map'"),
     (set_to("steps[1].foot.header.frame_id", "l_sole"), INCONSISTENT, r"step 1 \(right\): in frame 'l_sole'"),
     (set_to("start.header.frame_id", "map"), INCONSISTENT, "start feet are in frame 'map'"),
@@ -245,7 +270,16 @@ def test_without_start_feet_the_first_step_is_left_to_the_motion_manager() -> No
     plan = make_plan([MOVE])
     plan.start.header.frame_id = ""
     plan.steps[0].foot.pose.position.x = 50.0
-    assert convert(plan, LIMITS)[0].position_in_odom[0] == 50.0
+    assert convert(plan, LIMITS)[0].sole.position[0] == 50.0
+
+
+@given(plans, st.floats(-3.0, 3.0), st.floats(-10.0, 10.0))
+def test_a_plan_in_another_frame_becomes_the_same_steps_in_odom(plan: StepPlan, yaw: float, x: float) -> None:
+    frame = level(x, -2.0, 0.3, yaw)
+    expected, moved = convert(plan, LIMITS), convert(plan, LIMITS, to_odom=frame)
+    for before, after in zip(expected, moved, strict=True):
+        np.testing.assert_allclose(after.sole.position, (frame @ before.sole).position, atol=1e-9)
+        np.testing.assert_allclose(after.sole.rotation, (frame @ before.sole).rotation, atol=1e-9)
 
 
 class TestUpdate:
@@ -254,41 +288,82 @@ class TestUpdate:
     RUNNING = RunningPlan(convert(make_plan([MOVE] * 6), LIMITS), first_changeable=3)
 
     def update(self, first: int, count: int = 2) -> StepPlan:
-        """The running plan's own steps from ``first`` on, as a plan."""
-        plan = make_plan([MOVE] * 6)
+        """The running plan's own steps from ``first`` on, as a plan; they would go on behind its end."""
+        plan = make_plan([MOVE] * 12)
         plan.steps = plan.steps[first : first + count]
         return plan
 
-    @pytest.mark.parametrize("first", [3, 4, 5])
-    def test_begins_with_a_changeable_step(self, first: int) -> None:
-        steps = convert(self.update(first), LIMITS, self.RUNNING)
-        merged = self.RUNNING.updated(steps)
-        assert [step.step_index for step in merged] == list(range(min(6, first + 2)))
+    def merged(self, steps: list[PlannedStep]) -> list[int]:
+        return [step.index for step in self.RUNNING.updated(steps)]
+
+    @pytest.mark.parametrize("first", [3, 4, 5, 6])
+    def test_begins_with_a_changeable_step_or_goes_on_behind_the_last(self, first: int) -> None:
+        assert self.merged(convert(self.update(first), LIMITS, self.RUNNING)) == list(range(first + 2))
 
     @pytest.mark.parametrize("first", [0, 1, 2])
-    def test_of_a_step_under_way_is_refused(self, first: int) -> None:
-        with pytest.raises(PlanError, match=f"begins with step {first}; of the running plan steps 3 to 5") as refused:
-            convert(self.update(first), LIMITS, self.RUNNING)
+    def test_of_a_step_under_way_changes_what_comes_behind_it(self, first: int) -> None:
+        steps = convert(self.update(first, 8 - first), LIMITS, self.RUNNING)
+        assert [step.index for step in steps] == [3, 4, 5, 6, 7]
+
+    def test_that_ends_before_the_first_changeable_step_is_refused(self) -> None:
+        with pytest.raises(PlanError, match="ends with step 2; of the running plan only step 3 and those") as refused:
+            convert(self.update(0, 3), LIMITS, self.RUNNING)
         assert refused.value.status == INDICES
 
-    def test_beyond_the_plan_is_refused(self) -> None:
-        plan = self.update(5, 1)
-        plan.steps[0].step_index = 6
-        with pytest.raises(PlanError, match="begins with step 6"):
-            convert(plan, LIMITS, self.RUNNING)
+    def test_that_leaves_a_gap_is_refused(self) -> None:
+        with pytest.raises(PlanError, match="begins with step 7, the running plan ends with step 5") as refused:
+            convert(self.update(7), LIMITS, self.RUNNING)
+        assert refused.value.status == INDICES
 
-    def test_of_a_plan_that_cannot_change_is_refused(self) -> None:
-        with pytest.raises(PlanError, match="of the running plan no step can still be changed"):
+    def test_of_a_plan_that_is_ending_is_refused(self) -> None:
+        with pytest.raises(PlanError, match="no step of it can still be changed"):
             convert(self.update(5), LIMITS, RunningPlan(self.RUNNING.steps, first_changeable=-1))
 
-    def test_with_the_other_foot_is_refused(self) -> None:
-        plan = self.update(3)
-        plan.steps[0].foot.foot_index = Foot.LEFT
+    @pytest.mark.parametrize("first", [2, 3])
+    def test_with_the_other_foot_is_refused(self, first: int) -> None:
+        plan = make_plan([MOVE] * 12, Foot.RIGHT)
+        plan.steps = plan.steps[first : first + 4]
         with pytest.raises(PlanError, match=r"step 3 \(left\): in the running plan this step is the right foot's"):
             convert(plan, LIMITS, self.RUNNING)
 
-    def test_is_measured_from_the_running_plan(self) -> None:
-        plan = self.update(3)
-        plan.steps[0].foot.pose.position.x += 1.0
-        with pytest.raises(PlanError, match=r"step 3 \(right\): forward of the other foot"):
+    def test_behind_the_last_step_with_its_foot_is_refused(self) -> None:
+        plan = make_plan([MOVE] * 12, Foot.RIGHT)
+        plan.steps = plan.steps[6:8]
+        with pytest.raises(PlanError, match=r"step 6 \(right\): the right foot twice in a row"):
+            convert(plan, LIMITS, self.RUNNING)
+
+    @given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0), st.integers(0, 5))
+    def test_is_moved_as_one_to_where_the_running_plan_has_its_first_step(
+        self, x: float, y: float, z: float, yaw: float, first: int
+    ) -> None:
+        """The planner believes the robot elsewhere: what comes of it is the plan as seen from the robot."""
+        elsewhere = level(x, y, z, yaw)
+        plan = self.update(first, 9 - first)
+        expected = convert(plan, LIMITS, self.RUNNING)
+        for before, after in zip(expected, convert(plan, LIMITS, self.RUNNING, to_odom=elsewhere), strict=True):
+            np.testing.assert_allclose(after.sole.position, before.sole.position, atol=1e-9)
+            np.testing.assert_allclose(after.sole.rotation, before.sole.rotation, atol=1e-9)
+        kept = self.RUNNING.step(max(first, 3))
+        assert kept is not None
+        assert convert(plan, LIMITS, self.RUNNING, to_odom=elsewhere)[0].sole == kept.sole
+
+    def test_behind_the_last_step_moves_with_it(self) -> None:
+        running = RunningPlan(self.RUNNING.steps, first_changeable=6)
+        plan, elsewhere = self.update(5, 4), level(1.0, 2.0, 0.0, 0.5)
+        expected = convert(plan, LIMITS, running)
+        assert [step.index for step in expected] == [6, 7, 8]
+        for before, after in zip(expected, convert(plan, LIMITS, running, to_odom=elsewhere), strict=True):
+            np.testing.assert_allclose(after.sole.position, before.sole.position, atol=1e-9)
+
+    def test_what_is_level_stays_level_though_the_step_in_common_is_not(self) -> None:
+        plan = self.update(3, 4)
+        plan.steps[0].foot.pose.orientation = make_plan([replace(MOVE, pitch=0.1)]).steps[0].foot.pose.orientation
+        steps = convert(plan, LIMITS, self.RUNNING)
+        assert max(step.sole.tilt for step in steps) < 1e-6
+        assert {round(step.sole.position[2], 9) for step in steps} == {0.1}
+
+    def test_is_measured_from_the_running_plan_and_in_itself(self) -> None:
+        plan = self.update(3, 3)
+        plan.steps[2].foot.pose.position.x += 1.0
+        with pytest.raises(PlanError, match=r"step 5 \(right\): forward of the other foot"):
             convert(plan, LIMITS, self.RUNNING)

@@ -1,0 +1,173 @@
+"""Who asks for plans over ROS: clients of the action ExecuteStepPlan, and tools that publish a StepPlan.
+
+Both get the same: feedback while the plan runs, and its end. The feedback of every plan is published on a topic too,
+where tools that publish, and anybody who watches, find it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Future
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+from vigir_footstep_planning_msgs.msg import StepPlan
+
+from footstep_converter.execution import End, Execution, Outcome
+from footstep_converter.feedback import FeedbackMaker, final_state
+from footstep_converter.plan import ODOM
+
+NAMESPACE = "/robot_controllers/footstep_controller"
+EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic
+FEEDBACK = f"{NAMESPACE}/execute_feedback"
+
+Report = Callable[[ExecuteStepPlan.Feedback], None]
+
+
+class Goal(Protocol):
+    """A plan asked for, and the way to say how it went."""
+
+    @property
+    def plan(self) -> StepPlan:
+        """The plan asked for."""
+
+    @property
+    def cancel_requested(self) -> bool:
+        """Whether the client no longer wants it."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the client has been told the outcome."""
+
+    def progress(self, execution: Execution | None) -> None:
+        """Tell the client where the plan is; None: it is being handed over."""
+
+    def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
+        """Tell the client how it ended; once."""
+
+
+class ActionGoal:
+    """A goal of the action."""
+
+    def __init__(self, handle: ServerGoalHandle, executor: Any, report: Report, maker: FeedbackMaker) -> None:
+        self._handle = handle
+        self._report = report
+        self._maker = maker
+        self._outcome = Future(executor=executor)
+
+    @property
+    def plan(self) -> StepPlan:
+        """The plan asked for."""
+        plan: StepPlan = self._handle.request.step_plan
+        return plan
+
+    @property
+    def cancel_requested(self) -> bool:
+        """Whether the client no longer wants it."""
+        return bool(self._handle.is_cancel_requested)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the client has been told the outcome."""
+        return bool(self._outcome.done())
+
+    def progress(self, execution: Execution | None) -> None:
+        """Tell the client where the plan is; None: it is being handed over."""
+        self._publish(self._maker.progress(execution))
+
+    def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
+        """Tell the client how it ended; once."""
+        if not self.ended:
+            self._publish(self._maker.end(outcome, execution))
+            self._outcome.set_result(outcome)
+
+    def _publish(self, feedback: ExecuteStepPlan.Feedback) -> None:
+        self._handle.publish_feedback(feedback)
+        self._report(feedback)
+
+    async def result(self) -> ExecuteStepPlan.Result:
+        """Wait for the end; then the goal's terminal state is set and its result returned."""
+        outcome: Outcome = await self._outcome
+        if outcome.end is End.SUCCEEDED:
+            self._handle.succeed()
+        elif outcome.end is End.CANCELED and self._handle.is_cancel_requested:
+            self._handle.canceled()
+        else:
+            self._handle.abort()
+        result = ExecuteStepPlan.Result()
+        result.status.header.frame_id = ODOM
+        result.status.status = outcome.status
+        result.controller_state = final_state(outcome)
+        return result
+
+
+class PublishedPlan:
+    """A plan that came on the topic. Nobody waits for a result: the log has it, and the last feedback."""
+
+    cancel_requested = False
+
+    def __init__(self, plan: StepPlan, report: Report, maker: FeedbackMaker) -> None:
+        self.plan = plan
+        self.ended = False
+        self._report = report
+        self._maker = maker
+
+    def progress(self, execution: Execution | None) -> None:
+        """Publish where the plan is."""
+        self._report(self._maker.progress(execution))
+
+    def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
+        """Publish how it ended; once."""
+        if not self.ended:
+            self.ended = True
+            self._report(self._maker.end(outcome, execution))
+
+
+class Clients:
+    """Serves the action and the topic. ``begin`` is given each new goal, ``stop`` each that its client cancels."""
+
+    def __init__(self, node: Node, executor: Any, begin: Callable[[Goal], None], stop: Callable[[Goal], None]) -> None:
+        self._executor = executor
+        self._begin = begin
+        self._stop = stop
+        self._maker = FeedbackMaker()
+        self._goals: dict[bytes, ActionGoal] = {}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._feedback = node.create_publisher(ExecuteStepPlan.Feedback, FEEDBACK, latched)
+        node.create_subscription(StepPlan, EXECUTE, self._published, 10)
+        # Every goal is accepted and then refused with a result: ROS has no words for a rejected goal.
+        self._server = ActionServer(node, ExecuteStepPlan, EXECUTE, self._execute, cancel_callback=self._cancel)
+
+    def _published(self, plan: StepPlan) -> None:
+        self._begin(PublishedPlan(plan, self._feedback.publish, self._maker))
+
+    async def _execute(self, handle: ServerGoalHandle) -> ExecuteStepPlan.Result:
+        goal = ActionGoal(handle, self._executor, self._feedback.publish, self._maker)
+        key = bytes(handle.goal_id.uuid)
+        self._goals[key] = goal
+        try:
+            self._begin(goal)
+            return await goal.result()
+        finally:
+            del self._goals[key]
+
+    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        goal = self._goals.get(bytes(handle.goal_id.uuid))
+        if goal is not None and goal.ended:
+            return CancelResponse.REJECT
+        if goal is not None:
+            self._stop(goal)
+        return CancelResponse.ACCEPT  # without a goal: it has not begun, and will not
+
+    @property
+    def open_goals(self) -> list[ActionGoal]:
+        """Goals whose clients wait for a result."""
+        return list(self._goals.values())
+
+    def close(self) -> None:
+        """No goals any more."""
+        self._server.destroy()

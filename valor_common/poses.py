@@ -1,0 +1,109 @@
+"""Poses of one frame in another, for a few at a time: Python floats, no NumPy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]  # w, x, y, z
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product a ⊗ b: first b, then a."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def rotate(q: Quaternion, v: Vector) -> Vector:
+    """A vector turned by a unit quaternion."""
+    _, x, y, z = multiply(multiply(q, (0.0, *v)), (q[0], -q[1], -q[2], -q[3]))
+    return x, y, z
+
+
+def about_z(angle: float) -> Quaternion:
+    """The rotation about z by an angle [rad]."""
+    return math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a frame is in another; ``outer @ inner`` chains them."""
+
+    position: Vector = (0.0, 0.0, 0.0)  # [m]
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)  # of norm 1
+
+    def __matmul__(self, inner: Pose) -> Pose:
+        x, y, z = rotate(self.orientation, inner.position)
+        px, py, pz = self.position
+        w, *vector = multiply(self.orientation, inner.orientation)
+        norm = math.hypot(w, *vector)
+        a, b, c = (each / norm for each in vector)
+        return Pose((px + x, py + y, pz + z), (w / norm, a, b, c))
+
+    def inverse(self) -> Pose:
+        """The other frame in this one."""
+        w, x, y, z = self.orientation
+        back = (w, -x, -y, -z)
+        px, py, pz = self.position
+        return Pose(rotate(back, (-px, -py, -pz)), back)
+
+    @property
+    def rotation(self) -> tuple[Vector, Vector, Vector]:
+        """Rows of the rotation matrix."""
+        w, x, y, z = self.orientation
+        return (
+            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        )
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the frame's x axis [rad]."""
+        w, x, y, z = self.orientation
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the z axes [rad]."""
+        _, x, y, _ = self.orientation
+        return math.acos(max(-1.0, 1.0 - 2.0 * (x * x + y * y)))
+
+    def plane_to(self, other: Pose) -> Pose:
+        """The displacement, with a turn about z alone, that brings this pose's place and heading to the other's.
+
+        Both poses are in one frame, in which the displacement is to be applied; a tilt is left as it is.
+        """
+        turn = about_z(other.yaw - self.yaw)
+        x, y, z = rotate(turn, self.position)
+        ox, oy, oz = other.position
+        return Pose((ox - x, oy - y, oz - z), turn)
+
+
+def level(x: float, y: float, z: float, yaw: float) -> Pose:
+    """An upright frame [m, rad]."""
+    return Pose((x, y, z), about_z(yaw))
+
+
+def interpolate(first: Pose, second: Pose, share: float) -> Pose:
+    """Between two poses: straight in position, about one axis at an even rate in orientation (slerp)."""
+    a, b = first.orientation, second.orientation
+    dot = sum(p * q for p, q in zip(a, b, strict=True))
+    if dot < 0.0:
+        b, dot = (-b[0], -b[1], -b[2], -b[3]), -dot
+    angle = math.acos(min(1.0, dot))
+    if angle < 1e-6:
+        s, t = 1.0 - share, share
+    else:
+        s, t = (math.sin((1.0 - share) * angle) / math.sin(angle), math.sin(share * angle) / math.sin(angle))
+    w, x, y, z = (s * p + t * q for p, q in zip(a, b, strict=True))
+    norm = math.hypot(w, x, y, z)
+    px, py, pz = (p + share * (q - p) for p, q in zip(first.position, second.position, strict=True))
+    return Pose((px, py, pz), (w / norm, x / norm, y / norm, z / norm))
