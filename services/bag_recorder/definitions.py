@@ -54,10 +54,12 @@ def _read(type_name: str) -> str:
             package, kind, base = type_name.split("/")
             folder = Path(prefix) / "share" / package / kind
             if kind == "action" and base.endswith(FEEDBACK):
-                _goal, _result, feedback = (folder / f"{base.removesuffix(FEEDBACK)}.action").read_text().split("\n---\n")
+                _goal, _result, feedback = (
+                    (folder / f"{base.removesuffix(FEEDBACK)}.action").read_text().split("\n---\n")
+                )
                 return feedback
             return (folder / f"{base}.msg").read_text()
-        except (ValueError, OSError):
+        except (ValueError, IndexError, OSError):
             continue
     raise UnknownTypeError(f"{type_name} is not installed here")
 

@@ -18,7 +18,7 @@ from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from bag_recorder.bag import Bag, RecordedTopic
-from bag_recorder.definitions import UnknownTypeError, definition
+from bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
 
 DEPTH = 2000  # messages a topic that may wait for the next look
 
@@ -122,7 +122,11 @@ def _hidden(name: str) -> bool:
 def _message_type(type_name: str) -> type:
     package, kind, base = type_name.split("/")
     try:
-        found: type = getattr(importlib.import_module(f"{package}.{kind}"), base)
+        module = importlib.import_module(f"{package}.{kind}")
+        if kind == "action" and base.endswith(FEEDBACK):
+            feedback: type = getattr(module, base.removesuffix(FEEDBACK)).Feedback
+            return feedback
+        found: type = getattr(module, base)
     except (ImportError, AttributeError):
         raise UnknownTypeError(f"{type_name} has no Python package here") from None
     return found

@@ -115,7 +115,14 @@ def test_a_type_that_is_not_installed_is_named() -> None:
         definition("octomap_msgs/msg/Octomap")
 
 
-@pytest.mark.parametrize("installed", ["sensor_msgs/msg/Image", "control_msgs/msg/JointTrajectoryControllerState"])
+@pytest.mark.parametrize(
+    "installed",
+    [
+        "sensor_msgs/msg/Image",
+        "control_msgs/msg/JointTrajectoryControllerState",
+        "vigir_footstep_planning_msgs/action/ExecuteStepPlan_Feedback",
+    ],
+)
 def test_a_definition_is_whole(installed: str) -> None:
     """rosbags needs nothing but the text, and a store that knows the type already agrees with it."""
     types = get_types_from_msg(definition(installed), installed)

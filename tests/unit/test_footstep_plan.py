@@ -87,12 +87,14 @@ def within(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 def apart(move: Move) -> bool:
-    """Whether a sole that moves so from the other's place is not on it: a left one, from a right one at the origin."""
-    turned = level(move.forward, move.width, 0.0, move.turn) @ Pose(orientation=quaternion(0.0, move.pitch))
-    return not overlap(
-        outline((0.0, 0.0), np.eye(3), ROBOT.tables.feet.right),
-        outline(turned.position, turned.rotation, ROBOT.tables.feet.left),
-    )
+    """Whether a sole, left or right, that moves so from the other's place is not on it."""
+    places = [
+        level(move.forward, width, 0.0, move.turn) @ Pose(orientation=quaternion(0.0, move.pitch))
+        for width in (move.width, -move.width)
+    ]
+    foot = ROBOT.tables.feet.left  # the right one is as large
+    stands = outline((0.0, 0.0), np.eye(3), foot)
+    return not any(overlap(stands, outline(place.position, place.rotation, foot)) for place in places)
 
 
 moves = st.builds(
