@@ -1,7 +1,7 @@
 """Controller managers (thesis section 3.5): each runs the active ones of its controllers.
 
 There are three: the control mode manager runs the control mode controller, whose table says which controllers the
-joint manager and the robot manager run.
+joint manager and the robot manager may run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ class Controller(Protocol):
 
     @property
     def name(self) -> str:
-        """Unique within its manager."""
+        """Unique among all controllers."""
+
+    @property
+    def type(self) -> str:
+        """As ros2_control names plugins."""
 
     def start(self, hw: ValorEscherHWInterface) -> None:
         """Become active."""
@@ -37,11 +41,19 @@ C = TypeVar("C", bound=Controller)
 
 
 class ControllerManager(Generic[C]):
-    """Controllers by name, and which are active."""
+    """Controllers by name, which of them the control mode allows, and which are active.
+
+    Attributes:
+        controllers: by name.
+        switches: how often the active ones changed.
+    """
 
     def __init__(self, name: str, controllers: Iterable[C]) -> None:
         self.name = name
         self.controllers: dict[str, C] = {controller.name: controller for controller in controllers}
+        self.switches = 0
+        self._mode = ""
+        self._allowed: frozenset[str] = frozenset()
         self._active: tuple[str, ...] = ()
 
     @property
@@ -59,19 +71,36 @@ class ControllerManager(Generic[C]):
             known = ", ".join(self.controllers) or "none"
             raise ConfigurationError(f"{where}: unknown controller {unknown[0]!r}; the {self.name} manager has {known}")
 
-    def switch(self, names: Sequence[str], hw: ValorEscherHWInterface, reason: str, *, anew: bool = False) -> None:
-        """Make exactly these active. Those that stay go on undisturbed, unless all are to start ``anew``."""
-        wanted = tuple(sorted(names))
-        if wanted == self._active and not anew:
+    def enter(
+        self, mode: str, names: Sequence[str], hw: ValorEscherHWInterface, reason: str, *, anew: bool = False
+    ) -> None:
+        """Make exactly these active when a control mode begins; in the mode others may switch among them.
+
+        Those that stay go on undisturbed, unless all are to start ``anew``.
+        """
+        if mode == self._mode and not anew:
             return
-        leaving = [name for name in self._active if anew or name not in wanted]
-        coming = [name for name in wanted if anew or name not in self._active]
+        self._mode = mode
+        self._allowed = frozenset(names)
+        leaving = [name for name in self._active if anew or name not in self._allowed]
+        self.apply(leaving, [name for name in names if anew or name not in self._active], hw, reason)
+
+    def allows(self, name: str) -> bool:
+        """Whether a controller may be active in the present mode."""
+        return name in self._allowed
+
+    def apply(self, leaving: Sequence[str], coming: Sequence[str], hw: ValorEscherHWInterface, reason: str) -> None:
+        """Stop controllers that are active, then start others, within one cycle."""
+        if not (leaving or coming):
+            return
         for name in leaving:
             self.controllers[name].stop(hw, reason)
         for name in coming:
             self.controllers[name].start(hw)
-        self._active = wanted
-        _log.info("%s controllers: %s (%s)", self.name, ", ".join(wanted) or "none", reason)
+        stay = [name for name in self._active if name not in leaving]
+        self._active = tuple(sorted((*stay, *coming)))
+        self.switches += 1
+        _log.info("%s controllers: %s (%s)", self.name, ", ".join(self._active) or "none", reason)
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """One cycle of each."""

@@ -12,23 +12,26 @@ import sys
 
 from builtin_interfaces.msg import Time
 
-from valor_common.errors import ConfigurationError
 from valor_common.service import Context, quiet_collector
 from valor_ros_controller.control_modes import ControlModeTable
+from valor_ros_controller.controllers.configuration import ControllersTable
 from valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor_ros_controller.controllers.joint_trajectory_controller import (
-    ControllersTable,
-    JointTrajectoryController,
-)
+from valor_ros_controller.controllers.footstep_controller import FootstepController
+from valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor_ros_controller.controllers.tracking_controller import TrackingController
 from valor_ros_controller.kinematic_tree import KinematicTree
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
 from valor_ros_controller.ros.control_mode_action import ControlModeAction
 from valor_ros_controller.ros.controller_bypass import ControllerBypass
+from valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
+from valor_ros_controller.ros.controller_state import ControllerStatePublisher
 from valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
+from valor_ros_controller.ros.footstep_state import FootstepStatePublisher
 from valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
 from valor_ros_controller.ros.node import RosThread
-from valor_ros_controller.ros.parameters import configured
+from valor_ros_controller.ros.parameters import RATE, Parameters, Range, TrajectoryParameters
 from valor_ros_controller.ros.publisher import Publisher
+from valor_ros_controller.ros.tracking_action import TrackingAction
 from valor_ros_controller.valor_escher_controller import ValorEscherController
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor_ros_controller.valor_escher_interface import ValorEscherInterface
@@ -57,11 +60,15 @@ class ValorRosController:
         self._ros = RosThread(context.name, sys.argv[1:])
         try:
             control_rate = robot.tables.control_rate
-            rate = self._ros.parameter("update_rate", 250.0, "of the update loop [Hz], at most the control rate")
-            if not 1.0 <= rate <= control_rate:
-                raise ConfigurationError(f"ROS parameter update_rate: {rate:g} Hz; expected 1 to {control_rate:g}")
-            timeout = self._ros.parameter(
-                "silence_timeout", 1.0, "a process that publishes nothing for so long is silent [s]"
+            self._parameters = Parameters(self._ros.node)
+            rate = self._parameters.declare(
+                "update_rate", 250.0, "of the update loop [Hz], at most the control rate", Range(1.0, control_rate)
+            )
+            timeout = self._parameters.declare(
+                "silence_timeout",
+                1.0,
+                "a process that publishes nothing for so long is silent [s]",
+                Range(0.01, 60.0),
             )
             self._assemble(modes, controllers, tree, max(1, round(control_rate / rate)), timeout)
         except BaseException:
@@ -83,31 +90,75 @@ class ValorRosController:
         self._hw = ValorEscherHWInterface(robot)
         self._interface = ValorEscherInterface(context.node, self._hw, decimation, silence_timeout)
         mode_controller = ControlModeController(modes, self._interface)
-        joint_controllers = [
-            JointTrajectoryController(name, configured(self._ros, name, config), robot, modes.running(name))
-            for name, config in controllers.controllers.items()
-        ]
+        trajectories = {
+            name: JointTrajectoryController(name, config, self._hw, modes.running(name))
+            for name, config in (controllers.joint_controllers | controllers.robot_controllers).items()
+        }
+        tracking = {
+            name: TrackingController(name, config, self._hw)
+            for name, config in controllers.tracking_controllers.items()
+        }
+        footsteps = FootstepController(self._interface)
         self._controller = ValorEscherController(
             table=modes,
             hw=self._hw,
             interface=self._interface,
             mode_controller=mode_controller,
-            joint_controllers=joint_controllers,
-            robot_controllers=[],
+            joint_controllers=[*(trajectories[name] for name in controllers.joint_controllers), *tracking.values()],
+            robot_controllers=[footsteps, *(trajectories[name] for name in controllers.robot_controllers)],
         )
         self._publisher = Publisher(
             node, robot, tree, self._stamp, rate=rate, simulated=context.settings.profile != "hardware"
         )
         self._bypass = ControllerBypass(node, context.node)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
-        self._joint_faces = [
-            JointTrajectoryAction(node, controllers.namespace, controller, self._stamp)
-            for controller in joint_controllers
-        ]
+        self._trajectories = list(trajectories.values())
+        self._joint_states = self._open_controllers(controllers, trajectories, tracking)
+        self._footsteps = FootstepStatePublisher(node, footsteps, self._stamp)
+        self._managers = ControllerManagerServices(
+            node,
+            self._controller,
+            self._hw,
+            rate=rate,
+            stamp=self._stamp,
+            silent=lambda: self._interface.silent,
+        )
         self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
         self._diagnostics = Diagnostics(node, self._snapshots, rate)
         self._cycles = 0
         self._next_snapshot = 0.0
+
+    def _open_controllers(
+        self,
+        table: ControllersTable,
+        trajectories: dict[str, JointTrajectoryController],
+        tracking: dict[str, TrackingController],
+    ) -> list[ControllerStatePublisher]:
+        """Parameters, actions and topics of the trajectory and tracking controllers."""
+        node, parameters, queue = self._ros.node, self._parameters, self._controller.queue
+        configs = table.joint_controllers | table.robot_controllers
+        states = []
+        for name, controller in trajectories.items():
+            TrajectoryParameters(parameters, controller, configs[name])
+            JointTrajectoryAction(node, f"{table.namespace}/{name}", controller, self._stamp, queue)
+            states.append(self._open_state(table, name, controller, configs[name].state_publish_rate))
+        for name, follower in tracking.items():
+            TrackingAction(node, f"{table.namespace}/{name}", follower)
+            states.append(self._open_state(table, name, follower, table.tracking_controllers[name].state_publish_rate))
+        return states
+
+    def _open_state(
+        self, table: ControllersTable, name: str, controller: object, default: float
+    ) -> ControllerStatePublisher:
+        topic = f"{table.namespace}/{name}/controller_state"
+        publisher = ControllerStatePublisher(self._ros.node, topic, controller, self._stamp, default)
+
+        def change(rate: float) -> None:
+            publisher.rate = rate
+
+        parameter = f"{name}.state_publish_rate"
+        change(self._parameters.declare(parameter, default, "of ~/controller_state [Hz]", RATE, change))
+        return publisher
 
     def run(self) -> None:
         """Turn the loop until told to stop."""
@@ -122,10 +173,12 @@ class ValorRosController:
                 self._cycles += 1
                 stamp.sec, stamp.nanosec = divmod(hw.time, 1_000_000_000)
                 self._publisher.publish(hw)
-                for face in self._joint_faces:
-                    face.publish(hw)
+                for state in self._joint_states:
+                    state.publish(hw)
                 self._bypass.update(self._controller.mode_controller.current, hw.time)
             self._mode_face.publish(hw.time)
+            self._footsteps.publish()
+            self._managers.publish()
             if began >= self._next_snapshot:
                 self._next_snapshot = began + SNAPSHOT_PERIOD
                 self._hand_over()
@@ -139,7 +192,7 @@ class ValorRosController:
         interface, controller, hw = self._interface, self._controller, self._hw
         mode, joints = controller.mode_controller, controller.joints
         statistics = self._context.statistics
-        refused = [c for c in joints.controllers.values() if c.last_refusal]
+        refused = [c for c in self._trajectories if c.last_refusal]
         snapshot = Snapshot(
             silent=interface.silent,
             behavior=interface.behavior,
@@ -155,7 +208,7 @@ class ValorRosController:
             modes_refused=mode.rejected,
             joint_controllers=joints.active,
             last_trajectory_refusal="; ".join(c.last_refusal for c in refused),
-            trajectories_refused=sum(c.rejected for c in joints.controllers.values()),
+            trajectories_refused=sum(c.rejected for c in self._trajectories),
         )
         self._snapshots.write(snapshot)
         statistics.rejected = (

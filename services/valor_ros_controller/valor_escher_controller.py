@@ -3,19 +3,22 @@
 One cycle, at every second Proprioceptor::
 
     read ──► mode manager ──► switch controllers ──► joint manager ──► robot manager ──► rectify and write
-      ▲      (control mode     if the mode says so   (trajectories)    (offsets)          (limits, one writer
-      │       controller)                                                                  a joint)
+      ▲      (control mode     if the mode says so,  (trajectories)    (pelvis,           (limits, one writer
+      │       controller)      or a client asks                         footsteps)         a joint)
     Proprioceptor, MotionState                                                             JointSetpoints
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from typing import Any
 
 from valor_ros_controller.control_modes import ControlModeTable
 from valor_ros_controller.controller_manager import Controller, ControllerManager
+from valor_ros_controller.controller_switch import ControllerSwitch
 from valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor_ros_controller.update_queue import UpdateQueue
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
@@ -30,6 +33,8 @@ class ValorEscherController:
         modes: the control mode manager, with the one controller ``mode_controller``.
         joints: the joint manager.
         robots: the robot manager.
+        switch: switches controllers by hand. Update thread.
+        queue: work for the update thread from others.
         began: when the newest cycle began, its data having come [``time.perf_counter()``, s].
     """
 
@@ -40,8 +45,8 @@ class ValorEscherController:
         hw: ValorEscherHWInterface,
         interface: ValorEscherInterface,
         mode_controller: ControlModeController,
-        joint_controllers: list[JointTrajectoryController],
-        robot_controllers: list[Controller],
+        joint_controllers: Sequence[Controller],
+        robot_controllers: Sequence[Controller],
     ) -> None:
         """Put the managers together.
 
@@ -54,18 +59,22 @@ class ValorEscherController:
         self._interface = interface
         self.mode_controller = mode_controller
         self.modes = ControllerManager("mode", [mode_controller])
-        self.joints = ControllerManager("joint", joint_controllers)
+        self.joints: ControllerManager[Controller] = ControllerManager("joint", joint_controllers)
         self.robots: ControllerManager[Controller] = ControllerManager("robot", robot_controllers)
+        self.queue = UpdateQueue()
         self.began = 0.0
         self._resets = 0
         self._last_time = 0
-        self.modes.switch([mode_controller.name], hw, "start")
+        self.modes.enter("", [mode_controller.name], hw, "start", anew=True)
+        self.switch = ControllerSwitch((self.modes, self.joints, self.robots), hw)
         for name, mode in table.modes.items():
             self.joints.check(mode.joint_controllers, f"control mode {name}: joint_controllers")
             self.robots.check(mode.robot_controllers, f"control mode {name}: robot_controllers")
             trial = ValorEscherHWInterface(hw.robot)
-            for controller in mode.joint_controllers:
-                trial.claim(controller, self.joints.controllers[controller].joints)
+            for controller in (*mode.joint_controllers, *mode.robot_controllers):
+                made: Any = {**self.joints.controllers, **self.robots.controllers}[controller]
+                if made.command_interfaces:
+                    trial.claim(controller, made.joints)
 
     def update(self) -> bool:
         """Wait for data and run one cycle; whether a measurement came."""
@@ -75,7 +84,8 @@ class ValorEscherController:
         went_back = hw.time < self._last_time
         self._last_time = hw.time
         self.modes.update(hw)
-        self._switch(went_back)
+        self._enter_mode(went_back)
+        self.queue.run()
         hw.command_offset.fill(0.0)
         self.joints.update(hw)
         self.robots.update(hw)
@@ -84,7 +94,7 @@ class ValorEscherController:
         self._interface.report(self.mode_controller.report)
         return measured
 
-    def _switch(self, went_back: bool) -> None:
+    def _enter_mode(self, went_back: bool) -> None:
         """Run the controllers of the active mode, none while the Motion System is silent."""
         hw, mode_controller, silent = self._hw, self.mode_controller, self._interface.silent
         name = mode_controller.active_mode
@@ -92,13 +102,13 @@ class ValorEscherController:
         self._resets = mode_controller.hard_resets
         if silent or not name:
             hw.situation = reason = f"{silent or 'the Motion System'} is silent"
-            self.joints.switch((), hw, reason)
-            self.robots.switch((), hw, reason)
+            self.joints.enter("", (), hw, reason)
+            self.robots.enter("", (), hw, reason)
             return
         mode = self._table.modes[name]
         hw.situation = f"control mode {name}"
         reason = "robot time went back" if went_back else hw.situation
         if name == "none" and self._interface.behavior:
             reason = f"{reason}, the Motion System is in {self._interface.behavior}"
-        self.joints.switch(mode.joint_controllers, hw, reason, anew=anew)
-        self.robots.switch(mode.robot_controllers, hw, reason, anew=anew)
+        self.joints.enter(name, mode.joint_controllers, hw, reason, anew=anew)
+        self.robots.enter(name, mode.robot_controllers, hw, reason, anew=anew)

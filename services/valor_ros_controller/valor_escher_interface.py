@@ -22,11 +22,13 @@ from valor_common.messages import (
     JointSetpoints,
     MotionState,
     Proprioceptor,
+    StepStatus,
 )
 from valor_ros_controller.behavior_transition import BehaviorAnswer, BehaviorTransition
 from valor_ros_controller.controllers.control_mode_controller import ModeReport
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor_ros_controller.valor_escher_hw_interface import Indices, ValorEscherHWInterface
+from valor_ros_controller.trajectory.limits import Indices
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
 
@@ -90,6 +92,7 @@ class ValorEscherInterface:
         behavior: of the Motion System; empty before the first report and while it is silent.
         behavior_reason: of its last change.
         silent: name of the process that is silent; empty: none.
+        step_status: what the Motion System says of a footstep plan; None: not heard, or silent.
         rejected: how many messages were of the wrong length or not finite.
     """
 
@@ -108,6 +111,7 @@ class ValorEscherInterface:
         self._n = len(hw.robot.joints)
         self._proprioceptor = node.subscriber(topics.PROPRIOCEPTOR.name, Proprioceptor)
         self._motion_state = node.subscriber(topics.MOTION_STATE.name, MotionState)
+        self._step_status = node.subscriber(topics.STEP_STATUS.name, StepStatus)
         self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
         self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport)
         self._commander = BehaviorCommander(node)
@@ -124,6 +128,7 @@ class ValorEscherInterface:
         self.behavior = ""
         self.behavior_reason = ""
         self.silent = "comms_manager"
+        self.step_status: StepStatus | None = None
         self.rejected = 0
         self.set_points_sent = 0
 
@@ -188,12 +193,16 @@ class ValorEscherInterface:
             if len(motion.joint_setpoint) == self._n and np.isfinite(motion.joint_setpoint.sum()):
                 self._heard_motion = now
                 self._hw.motion = motion
+                self._hw.commanded = motion.joint_setpoint
                 self.behavior, self.behavior_reason = motion.behavior, motion.reason
             else:
                 self._reject(f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers")
         self.silent = self._who_is_silent(now)
+        if (steps := self._step_status.latest()) is not None:
+            self.step_status = steps.message
         if now - self._heard_motion > self._timeout:
             self.behavior = ""
+            self.step_status = None
         answer = self._commander.answers.read()
         if self._transition and self.behavior:
             command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
@@ -224,7 +233,7 @@ class ValorEscherInterface:
         hw = self._hw
         if hw.written is not self._written:
             self._written = hw.written
-            self._names = [hw.robot.joints[i] for i in hw.written]
+            self._names = [hw.names[i] for i in hw.written]
         if not self._names:
             return
         position, velocity, acceleration = hw.rectify()

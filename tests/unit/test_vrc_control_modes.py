@@ -10,9 +10,10 @@ from valor_common.errors import ConfigurationError
 from valor_common.messages import ModeStatus
 from valor_common.robot import RobotDescription
 from valor_ros_controller.control_modes import FILE, ControlModeTable
+from valor_ros_controller.controllers.configuration import ControllersTable
 from valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP
-from valor_ros_controller.controllers.joint_trajectory_controller import ControllersTable
-from valor_ros_controller.trajectory import ErrorCode
+from valor_ros_controller.trajectory.errors import ErrorCode
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 TABLE = ControlModeTable.load()
 CONTROLLERS = ControllersTable.load()
@@ -77,10 +78,13 @@ def test_controllers_of_a_mode_are_accepted_by_its_behavior():
         states = {"locomotion": locomotion, "manipulation": manipulation, "attention": attention}
         accepted = {
             controller
-            for controller, config in CONTROLLERS.controllers.items()
+            for controller, config in CONTROLLERS.joint_controllers.items()
             if all(states[machine] == state for machine, state in config.accepted_when.items())
         }
-        assert set(mode.joint_controllers) == accepted, name
+        assert set(mode.joint_controllers) == accepted | set(CONTROLLERS.tracking_controllers), name
+        for controller in set(mode.robot_controllers) & set(CONTROLLERS.robot_controllers):
+            config = CONTROLLERS.robot_controllers[controller]
+            assert all(states[machine] == state for machine, state in config.accepted_when.items()), name
 
 
 def test_a_reported_behavior_has_a_mode_that_stands_for_it():
@@ -111,8 +115,11 @@ def test_flags_and_codes_are_those_of_the_messages():
 @pytest.mark.parametrize("robot", [path.parent.name for path in (REPOSITORY / "robots").glob("*/robot.yaml")])
 def test_controllers_find_their_joints_in_every_robot(robot):
     description = RobotDescription.load(REPOSITORY / "robots" / robot)
-    for name, config in CONTROLLERS.controllers.items():
-        assert config.groups and all(description.tables.groups[group] for group in config.groups), name
+    hw = ValorEscherHWInterface(description)
+    for name, config in (
+        CONTROLLERS.joint_controllers | CONTROLLERS.tracking_controllers | CONTROLLERS.robot_controllers
+    ).items():
+        assert hw.group_indices(config.groups).size, name
 
 
 @pytest.mark.parametrize(

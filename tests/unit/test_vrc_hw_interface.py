@@ -66,5 +66,5 @@ def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_wha
         assert np.isfinite([position, velocity, acceleration]).all()
         assert (position >= ROBOT.lower[NECK]).all() and (position <= ROBOT.upper[NECK]).all()
         assert (np.abs(velocity) <= speed).all()
-        assert (np.abs(position - last) <= 1.06 * speed * min(LONGEST_STEP, max(0, milliseconds) * 1e-3) + 1e-6).all()
+        assert (np.abs(position - last) <= speed * min(LONGEST_STEP, max(0, milliseconds) * 1e-3) + 1e-8).all()
         last = position

@@ -7,18 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valor_ros_controller.trajectory import (
-    SPEED_MARGIN,
-    ErrorCode,
-    InvalidTrajectoryError,
-    JointLimits,
-    Point,
-    Trajectory,
-    check_waypoints,
-)
+from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor_ros_controller.trajectory.execution import Trajectory
+from valor_ros_controller.trajectory.limits import JointLimits
+from valor_ros_controller.trajectory.splines import SPEED_MARGIN
+from valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 
 NAMES = ("shoulder", "elbow", "wrist")
-LIMITS = JointLimits(NAMES, np.array([-3.0, -0.5, -np.inf]), np.array([1.0, 3.6, np.inf]), np.array([2.0, 2.0, 6.0]))
+LIMITS = JointLimits(
+    NAMES, ("rad",) * 3, np.array([-3.0, -0.5, -np.inf]), np.array([1.0, 3.6, np.inf]), np.array([2.0, 2.0, 6.0])
+)
 REST = (np.zeros(3), np.zeros(3), np.zeros(3))
 NOW = 5_000_000_000
 
@@ -140,19 +138,46 @@ def test_header_stamps():
     assert wall.code is ErrorCode.INVALID_GOAL and "another clock" in str(wall)
 
 
-def test_stopping_decelerates_as_told_and_stays():
-    velocity = np.array([1.0, -0.5, 0.0])
-    trajectory = Trajectory.stopping(NOW, np.zeros(3), velocity, 10.0, LIMITS)
-    assert trajectory.end == NOW + 100_000_000
+def test_stopping_decelerates_each_joint_as_told_and_stays():
+    velocity, deceleration = np.array([1.0, -0.5, 0.0]), np.array([10.0, 2.5, 10.0])
+    trajectory = Trajectory.stopping(NOW, np.zeros(3), velocity, deceleration, LIMITS)
+    assert trajectory.end == NOW + 200_000_000
     times = np.arange(NOW, trajectory.end, 1_000_000)
+    since = (times - NOW) * 1e-9
     states = np.array([sample(trajectory, int(t)) for t in times])
-    assert states[:, 1, 0] == pytest.approx(1.0 - 10.0 * (times - NOW) * 1e-9)
-    assert sample(trajectory, trajectory.end + 1)[0] == pytest.approx([0.05, -0.025, 0.0])
+    assert states[:, 1, 0] == pytest.approx(np.maximum(0.0, 1.0 - 10.0 * since), abs=1e-9)
+    assert states[:, 1, 1] == pytest.approx(-0.5 + 2.5 * since, abs=1e-9)
+    assert (np.abs(np.diff(states[:, 0], axis=0)) <= np.abs(velocity) * 1e-3 + 1e-12).all(), "a jump"
+    assert sample(trajectory, trajectory.end + 1)[0] == pytest.approx([0.05, -0.05, 0.0])
 
 
-def test_stopping_at_a_limit_ends_within_it():
-    trajectory = Trajectory.stopping(NOW, np.array([0.99, 0, 0]), np.array([2.0, 0, 0]), 10.0, LIMITS)
-    assert sample(trajectory, trajectory.end)[0][0] <= LIMITS.upper[0]
+rests = st.tuples(*(st.tuples(st.floats(0.0, 1.0), st.floats(-6, 6), st.floats(0.01, 100)) for _ in NAMES))
+
+
+@settings(max_examples=100, deadline=None)
+@given(rests)
+def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints):
+    fraction, speed, deceleration = np.array(joints).T
+    lower, upper = np.maximum(LIMITS.lower, -9.0), np.minimum(LIMITS.upper, 9.0)
+    position = lower + fraction * (upper - lower)
+    velocity = np.clip(speed, -LIMITS.velocity, LIMITS.velocity)
+    trajectory = Trajectory.stopping(NOW, position, velocity, deceleration, LIMITS)
+    times = np.linspace(NOW, trajectory.end, 200).astype(np.int64)
+    states = np.array([sample(trajectory, int(t)) for t in times])
+    moved = np.abs(np.diff(states[:, 0], axis=0))
+    longest = np.diff(times)[:, None] * 1e-9 * np.abs(velocity)
+    assert (moved <= longest * (1 + 1e-6) + 1e-6).all(), "a jump"
+    assert (states[:, 0] >= LIMITS.lower - 1e-6).all() and (states[:, 0] <= LIMITS.upper + 1e-6).all()
+    assert (sample(trajectory, trajectory.end)[1] == 0).all()
+
+
+def test_a_trajectory_is_asked_about_any_time_without_being_moved():
+    trajectory = begin([point(1.0, [0.5, 0, 0]), point(2.0, [0.0, 0, 0])])
+    assert trajectory.at(NOW + 1_500_000_000)[0] == pytest.approx([0.25, 0, 0])
+    assert trajectory.at(NOW + 500_000_000)[0] == pytest.approx([0.25, 0, 0])
+    assert sample(trajectory, NOW + 200_000_000)[0] == pytest.approx([0.1, 0, 0])
+    assert trajectory.at(NOW - 1)[0] == pytest.approx([0, 0, 0])
+    assert trajectory.at(trajectory.end + 10**9)[0] == pytest.approx([0, 0, 0])
 
 
 def test_delay_shifts_what_is_to_come():

@@ -80,6 +80,7 @@ class ControlModeController:
     """
 
     name = "control_mode_controller"
+    type = "valor_ros_controller/ControlModeController"
 
     def __init__(self, table: ControlModeTable, motion_system: MotionSystem) -> None:
         self._table = table

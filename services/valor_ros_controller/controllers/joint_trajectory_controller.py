@@ -13,120 +13,22 @@ import logging
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
 
-from valor_common.robot import RobotDescription
-from valor_ros_controller.control_modes import load_table
-from valor_ros_controller.trajectory import (
-    ErrorCode,
-    InvalidTrajectoryError,
-    JointLimits,
-    Trajectory,
-    Waypoints,
-)
+from valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
+from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor_ros_controller.trajectory.execution import Trajectory
+from valor_ros_controller.trajectory.limits import Vector
+from valor_ros_controller.trajectory.tolerances import Tolerances
+from valor_ros_controller.trajectory.waypoints import Waypoints
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("joint_trajectory_controller")
 
-Vector = npt.NDArray[np.float64]
-FILE = Path(__file__).parent.parent / "controllers.yaml"
-
 MOVED = 0.02
-"""A controller that waited goes on only if the Motion System moved none of its joints farther than this [rad]."""
-
-_NonNegative = Annotated[float, Field(ge=0)]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Constraints(_Table):
-    """Default tolerances; 0: not checked."""
-
-    stopped_velocity_tolerance: _NonNegative  # at the goal [rad/s]
-    goal_time: _NonNegative  # how late the goal may be reached [s]; 0: however late
-    trajectory: _NonNegative  # on the way [rad]
-    goal: _NonNegative  # [rad]
-
-
-class ControllerConfig(_Table):
-    """One controller of ``controllers.yaml``, where the keys are explained."""
-
-    groups: tuple[str, ...]
-    accepted_when: dict[str, str]
-    allow_partial_joints_goal: bool
-    action_monitor_rate: Annotated[float, Field(gt=0)]
-    max_deceleration_on_cancel: Annotated[float, Field(gt=0)]
-    constraints: Constraints
-
-
-class ControllersTable(_Table):
-    """``controllers.yaml``."""
-
-    namespace: str
-    defaults: dict[str, object]  # named only to be referred to within the file
-    controllers: dict[str, ControllerConfig]
-
-    @classmethod
-    def load(cls, file: Path = FILE) -> ControllersTable:
-        """Read the table.
-
-        Raises:
-            ConfigurationError: the file or a key is missing or wrong.
-        """
-        return load_table(cls, file)
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """How far from the desired state each of n joints may be; inf: not checked."""
-
-    position: Vector  # (n,) [rad]
-    velocity: Vector  # (n,) [rad/s]
-
-    @classmethod
-    def default(cls, n: int, position: float, velocity: float) -> Tolerances:
-        """The same for every joint; 0: not checked."""
-        return cls(np.full(n, position or np.inf), np.full(n, velocity or np.inf))
-
-    def override(self, entries: Sequence[tuple[str, float, float]], names: Sequence[str], which: str) -> Tolerances:
-        """Take what a goal states: (joint, position, velocity); 0: keep the default, -1: not checked.
-
-        Raises:
-            InvalidTrajectoryError: an unknown joint, or a number that is none of these.
-        """
-        position, velocity = self.position.copy(), self.velocity.copy()
-        for name, *values in entries:
-            if name not in names:
-                raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL, f"{which} names {name!r}, which is none of {', '.join(names)}"
-                )
-            joint = names.index(name)
-            for field, target, value in zip(("position", "velocity"), (position, velocity), values, strict=True):
-                if not np.isfinite(value) or (value < 0 and value != -1):
-                    raise InvalidTrajectoryError(
-                        ErrorCode.INVALID_GOAL,
-                        f"{which} of {name}: {field} is {value:g}; expected positive, 0 (default) or -1 (unchecked)",
-                    )
-                if value:
-                    target[joint] = np.inf if value < 0 else value
-        return Tolerances(position, velocity)
-
-    def violation(self, names: Sequence[str], position_error: Vector, velocity_error: Vector) -> str:
-        """Which joint is out, by how much, and the limit; empty: none."""
-        if (np.abs(position_error) > self.position).any():
-            joint = int(np.argmax(np.abs(position_error) / self.position))
-            return f"{names[joint]} is {position_error[joint]:+.3f} rad off; tolerance {self.position[joint]:g} rad"
-        if (np.abs(velocity_error) > self.velocity).any():
-            joint = int(np.argmax(np.abs(velocity_error) / self.velocity))
-            return f"{names[joint]} is {velocity_error[joint]:+.3f} rad/s off; tolerance {self.velocity[joint]:g} rad/s"
-        return ""
+"""A controller that waited goes on only if the Motion System moved none of its joints farther than this [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -160,11 +62,25 @@ class TrajectoryRequest:
     goal: Goal | None
 
 
+@dataclass(frozen=True)
+class QueriedState:
+    """Where a trajectory is at some time; ``message`` says why that is no answer, if it is none."""
+
+    message: str
+    position: Vector  # (n,), or (0,) when there is nothing to say
+    velocity: Vector
+    acceleration: Vector
+
+
+_NOTHING = np.zeros(0)
+
+
 class JointTrajectoryController:
     """One limb's set-points.
 
     Attributes:
-        joints: (n,) places of its joints in the robot's vectors.
+        joints: (n,) places of its joints in the hardware interface's vectors.
+        settings: replaced as a whole when a parameter changes, from any thread.
         position, velocity, acceleration: (n,) the set-point.
         active: chosen by the control mode.
         writing: active, and the Motion System accepts its joints.
@@ -172,34 +88,31 @@ class JointTrajectoryController:
         rejected: how many trajectories were refused.
     """
 
-    def __init__(self, name: str, config: ControllerConfig, robot: RobotDescription, modes: Sequence[str]) -> None:
+    type = "joint_trajectory_controller/JointTrajectoryController"
+    command_interfaces = ("position", "velocity", "acceleration")
+    state_interfaces = ("position", "velocity")
+
+    def __init__(
+        self, name: str, config: TrajectoryControllerConfig, hw: ValorEscherHWInterface, modes: Sequence[str]
+    ) -> None:
         """Make the controller, inactive.
 
         Args:
             name: in ROS names.
             config: from controllers.yaml.
-            robot: whose joints.
+            hw: whose joints.
             modes: in which it is active, for the text of a refusal.
         """
         self._name = name
-        self.config = config
-        self.joints = np.concatenate([robot.group_indices(group) for group in config.groups])
-        self.limits = JointLimits(
-            tuple(robot.joints[i] for i in self.joints),
-            robot.lower[self.joints],
-            robot.upper[self.joints],
-            robot.velocity_limit[self.joints],
-        )
+        self.joints = hw.group_indices(config.groups)
+        self.limits = hw.limits(self.joints)
         n = len(self.joints)
+        self.settings = Settings.of(config, n)
         self.position, self.velocity, self.acceleration = np.zeros(n), np.zeros(n), np.zeros(n)
         self.active = False
         self.writing = False
         self.last_refusal = ""
         self.rejected = 0
-        self.path = Tolerances.default(n, config.constraints.trajectory, 0.0)
-        self.goal_tolerance = Tolerances.default(
-            n, config.constraints.goal, config.constraints.stopped_velocity_tolerance
-        )
         self._modes = ", ".join(modes)
         self._accepted_when = tuple(config.accepted_when.items())
         self._queue: deque[TrajectoryRequest | Goal] = deque()
@@ -207,7 +120,6 @@ class JointTrajectoryController:
         self._request: TrajectoryRequest | None = None
         self._moving = False
         self._waiting_since = 0
-        self._feedback_period = round(1e9 / config.action_monitor_rate)
         self._next_feedback = 0
 
     @property
@@ -247,7 +159,12 @@ class JointTrajectoryController:
         """Give the joints back; a goal in progress is aborted."""
         self.active = self.writing = False
         hw.release(self._name)
-        self._end(Outcome(ErrorCode.INVALID_GOAL, f"aborted: {self._name} was deactivated: {reason}"))
+        self._end(
+            Outcome(
+                ErrorCode.INVALID_GOAL,
+                f"Current goal cancelled during deactivate transition: {self._name} was deactivated: {reason}",
+            )
+        )
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """Obey what came, then write the set-point of this cycle."""
@@ -265,17 +182,43 @@ class JointTrajectoryController:
         if self._moving:
             self._trajectory.sample(hw.time, self.position, self.velocity, self.acceleration)
             self._moving = hw.time < self._trajectory.end
+            self._write(hw)
+        if self._request:
+            self._monitor(self._request, hw)
+
+    @property
+    def trajectory_start(self) -> int:
+        """Robot time that ``time_from_start`` counts from [ns]: as stamped, or when the trajectory was taken up."""
+        return (self._request.start if self._request else 0) or self._trajectory.start
+
+    def state_at(self, time: int) -> QueriedState:
+        """Where the set-point is, or will be, at a robot time [ns]: the service ``query_state``.
+
+        After the end of the trajectory it is where the trajectory ended, but that is no success, as with the original.
+        """
+        if not self.active:
+            return QueriedState(f"{self._name} is not active", _NOTHING, _NOTHING, _NOTHING)
+        trajectory = self._trajectory
+        state = trajectory.at(time)
+        if time < trajectory.start:
+            early = (trajectory.start - time) * 1e-9
+            return QueriedState(f"{early:.3f} s before the trajectory begins", *state)
+        if time > trajectory.end:
+            late = (time - trajectory.end) * 1e-9
+            return QueriedState(f"{late:.3f} s after the trajectory has ended, where it holds", *state)
+        return QueriedState("", *state)
+
+    def _write(self, hw: ValorEscherHWInterface) -> None:
         hw.command_position[self.joints] = self.position
         hw.command_velocity[self.joints] = self.velocity
         hw.command_acceleration[self.joints] = self.acceleration
-        hw.write(self._name, self.joints)
-        if self._request:
-            self._monitor(self._request, hw)
 
     def _accept(self, hw: ValorEscherHWInterface) -> None:
         """Find out whether the Motion System accepts our joints, and wait while it does not."""
         motion = hw.motion
-        accepted = motion is not None and all(getattr(motion, field) == state for field, state in self._accepted_when)
+        accepted = motion is not None
+        for field, state in self._accepted_when:
+            accepted = accepted and getattr(motion, field) == state
         if accepted == self.writing:
             return
         self.writing = accepted
@@ -284,18 +227,19 @@ class JointTrajectoryController:
             hw.pause(self._name)
             return
         self._trajectory.delay(hw.time - self._waiting_since)
-        assert motion is not None
-        moved = np.abs(motion.joint_setpoint[self.joints] - self.position)
+        moved = np.abs(hw.commanded[self.joints] - self.position)
         if moved.max() > MOVED:
             joint = int(np.argmax(moved))
-            text = f"aborted: the Motion System moved {self.limits.names[joint]} by {moved[joint]:.3f} rad meanwhile"
+            name, unit = self.limits.names[joint], self.limits.units[joint]
             self._hold_motion_system(hw)
+            text = f"aborted: the Motion System moved {name} by {moved[joint]:.3f} {unit} meanwhile"
             self._end(Outcome(ErrorCode.INVALID_GOAL, text))
+        self._write(hw)
+        hw.write(self._name, self.joints)
 
     def _hold_motion_system(self, hw: ValorEscherHWInterface) -> None:
         """Take for set-point what the Motion System commands."""
-        assert hw.motion is not None
-        self.position[:] = np.clip(hw.motion.joint_setpoint[self.joints], self.limits.lower, self.limits.upper)
+        self.position[:] = np.clip(hw.commanded[self.joints], self.limits.lower, self.limits.upper)
         self.velocity.fill(0.0)
         self.acceleration.fill(0.0)
         self._trajectory = Trajectory.holding(hw.time, self.position)
@@ -307,7 +251,8 @@ class JointTrajectoryController:
             if not self.active:
                 raise InvalidTrajectoryError(
                     ErrorCode.INVALID_GOAL,
-                    f"{self._name} is not active: {hw.situation}; it is active in the control modes {self._modes}",
+                    f"{self._name} is not active: {hw.situation}; it is active in the control modes "
+                    f"{self._modes}, unless a client has deactivated it",
                 )
             if not self.writing:
                 wanted = ", ".join(f"{field} {state}" for field, state in self._accepted_when)
@@ -327,7 +272,7 @@ class JointTrajectoryController:
         except InvalidTrajectoryError as error:
             self.refuse(request.goal, error)
             return
-        self._end(Outcome(ErrorCode.INVALID_GOAL, "preempted: replaced by a new trajectory"))
+        self._end(Outcome(ErrorCode.INVALID_GOAL, "Current goal cancelled due to new incoming action: preempted"))
         self._trajectory, self._request, self._moving = trajectory, request, True
         self._next_feedback = hw.time
 
@@ -335,31 +280,35 @@ class JointTrajectoryController:
         """Compare with the measured state: tolerances on the way and at the end."""
         position_error = self.position - hw.position[self.joints]
         velocity_error = self.velocity - hw.velocity[self.joints]
-        names = self.limits.names
         if hw.time < self._trajectory.end:
-            if violation := request.path.violation(names, position_error, velocity_error):
+            if violation := request.path.violation(self.limits, position_error, velocity_error):
                 self._come_to_rest(hw)
-                self._end(Outcome(ErrorCode.PATH_TOLERANCE_VIOLATED, f"aborted on the way: {violation}"))
+                text = f"Aborted due to path tolerance violation: {violation}"
+                self._end(Outcome(ErrorCode.PATH_TOLERANCE_VIOLATED, text))
                 return
         else:
-            violation = request.goal_tolerance.violation(names, position_error, velocity_error)
+            violation = request.goal_tolerance.violation(self.limits, position_error, velocity_error)
             late = (hw.time - self._trajectory.end) * 1e-9
             if not violation:
-                self._end(Outcome(ErrorCode.SUCCESSFUL, "goal reached"))
+                self._end(Outcome(ErrorCode.SUCCESSFUL, "Goal successfully reached!"))
                 return
             if request.goal_time and late > request.goal_time:
-                text = f"not at the goal {request.goal_time:g} s after its time: {violation}"
+                text = f"Aborted due to goal_time_tolerance exceeding by {late:g} seconds: {violation}"
                 self._end(Outcome(ErrorCode.GOAL_TOLERANCE_VIOLATED, text))
                 return
         if hw.time >= self._next_feedback and request.goal:
-            self._next_feedback = hw.time + self._feedback_period
+            self._next_feedback = hw.time + round(1e9 / self.settings.action_monitor_rate)
             request.goal.feedback(self, hw)
 
     def _come_to_rest(self, hw: ValorEscherHWInterface) -> None:
-        """Decelerate from the motion commanded now, and hold."""
-        self._trajectory = Trajectory.stopping(
-            hw.time, self.position, self.velocity, self.config.max_deceleration_on_cancel, self.limits
-        )
+        """From the motion commanded now: decelerate, or stand still at once; then hold."""
+        settings = self.settings
+        if settings.decelerate_on_cancel:
+            self._trajectory = Trajectory.stopping(
+                hw.time, self.position, self.velocity, settings.max_deceleration, self.limits
+            )
+        else:
+            self._trajectory = Trajectory.holding(hw.time, self.position)
         self._moving = True
 
     def _end(self, outcome: Outcome) -> None:

@@ -1,4 +1,4 @@
-"""The ROS face of a joint trajectory controller: action, topics, state."""
+"""The ROS face of a joint trajectory controller: action, topics, query."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import array
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointTrajectoryControllerState
+from control_msgs.srv import QueryTrajectoryState
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
@@ -18,11 +18,14 @@ from valor_ros_controller.controllers.joint_trajectory_controller import (
     Goal,
     JointTrajectoryController,
     Outcome,
+    QueriedState,
     TrajectoryRequest,
-    Vector,
 )
 from valor_ros_controller.ros.deferred_action_server import DeferredActionServer
-from valor_ros_controller.trajectory import ErrorCode, InvalidTrajectoryError, Point, check_waypoints
+from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor_ros_controller.trajectory.limits import Vector
+from valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor_ros_controller.update_queue import UpdateQueue
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
@@ -36,8 +39,13 @@ def _numbers(values: Vector) -> array.array[float]:
     return array.array("d", values.tobytes())
 
 
-def _point(position: Vector, velocity: Vector, acceleration: Vector | None = None) -> Any:
-    point = JointTrajectoryPoint(positions=_numbers(position), velocities=_numbers(velocity))
+def _point(position: Vector, velocity: Vector, acceleration: Vector | None, since_start: int) -> Any:
+    seconds, nanoseconds = divmod(since_start, 1_000_000_000)
+    point = JointTrajectoryPoint(
+        positions=_numbers(position),
+        velocities=_numbers(velocity),
+        time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
+    )
     if acceleration is not None:
         point.accelerations = _numbers(acceleration)
     return point
@@ -58,9 +66,7 @@ class _TrajectoryGoal:
         self._face.server.finish(self._handle, state, result)
 
     def feedback(self, controller: JointTrajectoryController, hw: ValorEscherHWInterface) -> None:
-        feedback = FollowJointTrajectory.Feedback()
-        self._face.fill(feedback, "desired", "actual", hw)
-        self._handle.publish_feedback(feedback)
+        self._handle.publish_feedback(self._face.feedback(hw))
 
 
 class JointTrajectoryAction:
@@ -70,50 +76,43 @@ class JointTrajectoryAction:
         server: the action server.
     """
 
-    def __init__(self, node: Node, namespace: str, controller: JointTrajectoryController, stamp: Time) -> None:
-        """Open the interfaces under ``<namespace>/<controller>``.
+    def __init__(
+        self, node: Node, base: str, controller: JointTrajectoryController, stamp: Time, queue: UpdateQueue
+    ) -> None:
+        """Open the interfaces.
 
         Args:
             node: the ROS node.
-            namespace: absolute.
+            base: absolute name that those of the interfaces begin with.
             controller: runs the trajectories.
             stamp: robot time, kept up to date by its owner.
+            queue: into the update thread.
         """
-        base = f"{namespace}/{controller.name}"
         self._controller = controller
         self._stamp = stamp
+        self._queue = queue
         self._names = list(controller.limits.names)
         self._goals: dict[bytes, Goal] = {}
-        self._state_period = round(1e9 / controller.config.action_monitor_rate)
-        self._next_state = 0
-        self._state = node.create_publisher(JointTrajectoryControllerState, f"{base}/controller_state", 1)
         self.server = DeferredActionServer(
             node, FollowJointTrajectory, f"{base}/follow_joint_trajectory", self._goal, self._cancel
         )
         node.create_subscription(JointTrajectory, f"{base}/joint_trajectory", self._command, 1)
         node.create_subscription(JointTrajectory, f"{base}/command", self._command, 1)
+        node.create_service(QueryTrajectoryState, f"{base}/query_state", self._query)
 
     # --- update thread --------------------------------------------------------------------------------------------
 
-    def fill(self, message: Any, desired: str, actual: str, hw: ValorEscherHWInterface) -> None:
-        """Write stamp, names, desired state, actual state and error into a message."""
+    def feedback(self, hw: ValorEscherHWInterface) -> Any:
+        """The action's feedback for this cycle."""
         controller = self._controller
         position, velocity = hw.position[controller.joints], hw.velocity[controller.joints]
-        message.header.stamp = self._stamp
-        message.joint_names = self._names
-        setattr(message, desired, _point(controller.position, controller.velocity, controller.acceleration))
-        setattr(message, actual, _point(position, velocity))
-        message.error = _point(controller.position - position, controller.velocity - velocity)
-
-    def publish(self, hw: ValorEscherHWInterface) -> None:
-        """Publish ``controller_state`` while the controller is active, at its monitor rate."""
-        if not self._controller.active or self._next_state - self._state_period <= hw.time < self._next_state:
-            return
-        self._next_state = hw.time + self._state_period
-        message = JointTrajectoryControllerState(speed_scaling_factor=1.0)
-        self.fill(message, "reference", "feedback", hw)
-        message.output = message.reference
-        self._state.publish(message)
+        since = hw.time - controller.trajectory_start
+        feedback = FollowJointTrajectory.Feedback(joint_names=self._names)
+        feedback.header.stamp = self._stamp
+        feedback.desired = _point(controller.position, controller.velocity, controller.acceleration, since)
+        feedback.actual = _point(position, velocity, None, since)
+        feedback.error = _point(controller.position - position, controller.velocity - velocity, None, since)
+        return feedback
 
     # --- ROS thread -----------------------------------------------------------------------------------------------
 
@@ -148,13 +147,28 @@ class JointTrajectoryAction:
         except InvalidTrajectoryError as error:
             self._controller.refuse(None, error)
 
+    def _query(self, request: Any, response: Any) -> Any:
+        """Where the trajectory is at a time."""
+        time = _nanoseconds(request.time)
+        try:
+            state = self._queue.call(lambda: self._controller.state_at(time))
+        except TimeoutError as error:
+            state = QueriedState(str(error), *np.zeros((3, 0)))
+        response.success, response.message = not state.message, state.message
+        if state.position.size:
+            response.name = self._names
+        response.position = _numbers(state.position)
+        response.velocity = _numbers(state.velocity)
+        response.acceleration = _numbers(state.acceleration)
+        return response
+
     def _request(self, trajectory: Any, goal: Any, client: Goal | None) -> TrajectoryRequest:
         """Check what came.
 
         Raises:
             InvalidTrajectoryError: it is not to be run.
         """
-        controller = self._controller
+        controller, settings = self._controller, self._controller.settings
         points = [
             Point(p.positions, p.velocities, p.accelerations, p.effort, _nanoseconds(p.time_from_start) * 1e-9)
             for p in trajectory.points
@@ -163,10 +177,9 @@ class JointTrajectoryAction:
             list(trajectory.joint_names),
             points,
             controller.limits,
-            allow_partial=controller.config.allow_partial_joints_goal,
+            allow_partial=settings.allow_partial_joints_goal,
         )
-        path, at_goal = controller.path, controller.goal_tolerance
-        goal_time = controller.config.constraints.goal_time
+        path, at_goal, goal_time = settings.path, settings.goal, settings.goal_time
         if goal is not None:
             for which, entries in (("path_tolerance", goal.path_tolerance), ("goal_tolerance", goal.goal_tolerance)):
                 overrides = [(entry.name, entry.position, entry.velocity) for entry in entries]

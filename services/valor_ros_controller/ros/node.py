@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import TypeVar
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from valor_common.errors import ConfigurationError
 
 _log = logging.getLogger("ros")
-
-T = TypeVar("T", bool, int, float, str)
 
 
 class RosThread(threading.Thread):
@@ -48,22 +44,6 @@ class RosThread(threading.Thread):
         self._closing = False
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-
-    def parameter(self, name: str, default: T, description: str) -> T:
-        """Declare a parameter and read it, once: it is read-only.
-
-        Raises:
-            ConfigurationError: it was set to a value of another type.
-        """
-        from rcl_interfaces.msg import ParameterDescriptor  # type: ignore[import-untyped]
-
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        try:
-            parameter: Parameter = self.node.declare_parameter(name, default, descriptor)
-        except Exception as error:
-            raise ConfigurationError(f"ROS parameter {name}: {error}; expected as {default!r}") from None
-        value: T = parameter.value
-        return value
 
     def run(self) -> None:
         """The thread."""

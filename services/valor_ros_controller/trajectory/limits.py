@@ -1,0 +1,22 @@
+"""Limits of a controller's joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Vector = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Names, units and limits of a controller's n joints, in the controller's order."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]  # of position, each rad or m
+    lower: Vector  # (n,)
+    upper: Vector  # (n,)
+    velocity: Vector  # (n,) [1/s]
