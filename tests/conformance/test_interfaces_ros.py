@@ -13,6 +13,22 @@ import rclpy
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointComponentTolerance, JointTolerance, JointTrajectoryControllerState
 from control_msgs.srv import QueryTrajectoryState
+from controller_manager_msgs.msg import (
+    ChainConnection,
+    ControllerManagerActivity,
+    ControllerState,
+    HardwareComponentState,
+    HardwareInterface,
+    NamedLifecycleState,
+)
+from controller_manager_msgs.srv import (
+    ListControllers,
+    ListControllerTypes,
+    ListHardwareComponents,
+    ListHardwareInterfaces,
+    SetHardwareComponentState,
+    SwitchController,
+)
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -37,6 +53,7 @@ from valor_common.resources import middleware_profile
 
 POINT, MULTI = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 TOLERANCES = {"position": "double", "velocity": "double", "acceleration": "double"}
+MANAGER = "controller_manager_msgs"
 HEADER = {"header": "std_msgs/Header"}
 VIGIR = "vigir_footstep_planning_msgs"
 FIELDS = {
@@ -65,6 +82,33 @@ FIELDS = {
     QueryTrajectoryState.Request: {"time": "builtin_interfaces/Time"},
     QueryTrajectoryState.Response: {"success": "boolean", "message": "string", "name": "sequence<string>"}
     | dict.fromkeys(("position", "velocity", "acceleration"), "sequence<double>"),
+    ChainConnection: {"name": "string", "reference_interfaces": "sequence<string>"},
+    NamedLifecycleState: {"name": "string", "state": "lifecycle_msgs/State"},
+    ControllerManagerActivity: HEADER
+    | dict.fromkeys(("controllers", "hardware_components"), f"sequence<{MANAGER}/NamedLifecycleState>"),
+    ControllerState: {"name": "string", "state": "string", "type": "string", "is_async": "boolean"}
+    | {"update_rate": "uint16"}
+    | dict.fromkeys(
+        ("claimed_interfaces", "required_command_interfaces", "required_state_interfaces"), "sequence<string>"
+    )
+    | {"is_chainable": "boolean", "is_chained": "boolean"}
+    | dict.fromkeys(("exported_state_interfaces", "reference_interfaces"), "sequence<string>")
+    | {"chain_connections": f"sequence<{MANAGER}/ChainConnection>"},
+    HardwareInterface: {"name": "string", "data_type": "string", "is_available": "boolean", "is_claimed": "boolean"},
+    HardwareComponentState: {"name": "string", "type": "string", "is_async": "boolean", "rw_rate": "uint16"}
+    | {"class_type": "string", "plugin_name": "string", "state": "lifecycle_msgs/State"}
+    | dict.fromkeys(("command_interfaces", "state_interfaces"), f"sequence<{MANAGER}/HardwareInterface>"),
+    SwitchController.Request: dict.fromkeys(("activate_controllers", "deactivate_controllers"), "sequence<string>")
+    | {"strictness": "int32", "activate_asap": "boolean", "timeout": "builtin_interfaces/Duration"},
+    SwitchController.Response: {"ok": "boolean", "message": "string"},
+    ListControllers.Response: {"controller": f"sequence<{MANAGER}/ControllerState>"},
+    ListControllerTypes.Response: dict.fromkeys(("types", "base_classes"), "sequence<string>"),
+    ListHardwareComponents.Response: {"component": f"sequence<{MANAGER}/HardwareComponentState>"},
+    ListHardwareInterfaces.Response: dict.fromkeys(
+        ("command_interfaces", "state_interfaces"), f"sequence<{MANAGER}/HardwareInterface>"
+    ),
+    SetHardwareComponentState.Request: {"name": "string", "target_state": "lifecycle_msgs/State"},
+    SetHardwareComponentState.Response: {"ok": "boolean", "state": "lifecycle_msgs/State"},
     TFMessage: {"transforms": "sequence<geometry_msgs/TransformStamped>"},
     TF2Error: {"error": "uint8", "error_string": "string"},
     LookupTransform.Goal: {
@@ -105,6 +149,7 @@ FIELDS = {
     | {"feedback": f"{VIGIR}/StepPlanFeedback"},
 }
 CONSTANTS = {
+    SwitchController.Request: "BEST_EFFORT 1 STRICT 2 AUTO 3 FORCE_AUTO 4",
     FollowJointTrajectory.Result: "SUCCESSFUL 0 INVALID_GOAL -1 INVALID_JOINTS -2 OLD_HEADER_TIMESTAMP -3 "
     "PATH_TOLERANCE_VIOLATED -4 GOAL_TOLERANCE_VIOLATED -5",
     JointComponentTolerance: "X_AXIS 1 Y_AXIS 2 Z_AXIS 3 TRANSLATION 4 ROTATION 5",

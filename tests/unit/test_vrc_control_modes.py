@@ -152,13 +152,14 @@ def test_the_documented_table_is_the_table():
     rows = {}
     for line in page.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 7 and cells[0].strip("`") in TABLE.modes:
+        if len(cells) == 8 and cells[0].strip("`") in TABLE.modes:
             rows[cells[0].strip("`")] = cells
     assert list(rows) == list(TABLE.modes)
-    for name, (_, bdi, upper_body, switch, motion, controllers, to) in rows.items():
+    for name, (_, bdi, upper_body, switch, motion, joints, robots, to) in rows.items():
         mode = TABLE.modes[name]
         assert (int(bdi), int(upper_body), switch) == (mode.bdi, mode.upper_body, mode.switch), name
         assert motion == (" → ".join(mode.motion) if mode.motion else "–"), name
-        short = [controller.removesuffix("_traj_controller") for controller in mode.joint_controllers]
-        assert controllers == (", ".join(short) or "–"), name
+        for cell, controllers in ((joints, mode.joint_controllers), (robots, mode.robot_controllers)):
+            short = [name.removesuffix("_traj_controller").removesuffix("_controller") for name in controllers]
+            assert cell == (", ".join(short) or "–"), name
         assert {part.strip() for part in to.split(",")} == mode.to, name
