@@ -236,6 +236,28 @@ class PelvisMotion(Table):
     com_margin: Positive = 0.05  # the CoM's reference stays so far inside both soles' edges [m]
 
 
+class Disturbance(Table):
+    """How steps give way to pushes, and when standing gives way to steps."""
+
+    adjust_steps: bool = True  # footholds and times of steps
+    capture_steps: bool = True  # pushed in standing, step
+    plan_reach: NonNegative = 0.05  # that a plan's foothold may be moved by, either way along each axis [m]
+    foothold_weight: Positive = 1.0  # of a foothold's shift [1/m²]
+    time_weight: Positive = 0.3  # of a step's time [1/s²]
+    offset_weight: Positive = 30.0  # of the DCM error that is left to the next step [1/m²]
+    cop_weight: Positive = 0.02  # of the CoP's shift [1/m²]
+    cop_share: Positive = 0.7  # of the CoP's reach within the stance sole, that is counted on
+    threshold: Positive = 0.015  # of the DCM error to be at touchdown, below which a step is left alone [m]
+    final: Positive = 0.06  # before touchdown, in which nothing is changed any more [s]
+    shortest_swing: Positive = 0.3  # [s]
+    shortest_transfer: Positive = 0.05  # [s]
+    longest_delay: NonNegative = 0.15  # of a touchdown [s]
+    foot_speed: Positive = 2.5  # of a swinging foot, at most [m/s]
+    clearance: NonNegative = 0.01  # between the feet, besides the robot's least width [m]
+    max_width: Positive = 0.55  # of an adjusted step [m]
+    diagonal_width: Positive = 0.3  # |forward| + width is at most this beyond the longest step [m]
+
+
 class Estimator(Table):
     """How far the floating-base estimator trusts what it is told."""
 
@@ -277,6 +299,8 @@ class RobotTables(Table):
     whole_body: WholeBody = WholeBody()
     walking: Walking = Walking()
     pelvis: PelvisMotion = PelvisMotion()
+
+    disturbance: Disturbance = Disturbance()
     estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 

@@ -30,6 +30,7 @@ class Step:
     swing_height: float  # [m]
     swing_duration: float  # [s]
     transfer_duration: float  # of the double support before [s]
+    adjustable: float = 0.0  # how far the robot may move it, either way along each axis, to keep its balance [m]
 
 
 class StepSource(Protocol):
