@@ -247,7 +247,7 @@ class Disturbance(Table):
     offset_weight: Positive = 30.0  # of the DCM error that is left to the next step [1/m²]
     cop_weight: Positive = 0.02  # of the CoP's shift [1/m²]
     cop_share: Positive = 0.7  # of the CoP's reach within the stance sole, that is counted on
-    threshold: Positive = 0.015  # of the DCM error to be at touchdown, below which a step is left alone [m]
+    threshold: Positive = 0.025  # of the DCM error, below which a step is left alone [m]
     final: Positive = 0.06  # before touchdown, in which nothing is changed any more [s]
     shortest_swing: Positive = 0.3  # [s]
     shortest_transfer: Positive = 0.05  # [s]

@@ -53,6 +53,7 @@ class FootstepPlanHandler:
             soles: gives where the left and right sole are; asked in Step alone.
         """
         self._limits, self._walking = robot.tables.footsteps, robot.tables.walking
+        self._adjustable = robot.tables.disturbance.plan_reach
         self._feet = (robot.tables.feet.left, robot.tables.feet.right)
         self._fsm = fsm
         self._queue = queue
@@ -200,4 +201,5 @@ class FootstepPlanHandler:
                 raise PlanError(f"{name}: {what} {value}; expected {low} to {high}")
         matrix = np.empty((3, 3))
         rotation.matrix(rotation.quaternion(orientation), matrix)
-        return Step(asked.step_index, asked.foot, SolePose(place.copy(), matrix), height, swing, transfer)
+        sole = SolePose(place.copy(), matrix)
+        return Step(asked.step_index, asked.foot, sole, height, swing, transfer, self._adjustable)

@@ -172,7 +172,7 @@ class WholeBodyController:
         """Let the gait go on, or begin if there are steps to take."""
         gait, reference = self._gait, self._reference
         if gait.active:
-            gait.update(state, dt)
+            gait.update(state, state.dcm_in_odom - reference.shift, dt)
             self._stance.reset(state)
         elif self.step_source is not None and self.pelvis.resting:
             gait.start(state, self.step_source, reference.centre_dcm, reference.centre_vrp)

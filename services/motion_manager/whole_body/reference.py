@@ -70,6 +70,7 @@ class StandReference:
         turning: (3,) angular velocity of both, as the pelvis is led, in odom [rad/s].
         legs_blend: s, of the leg joints from where they were to nominal.
         centre_dcm: (3,), centre_vrp: (3,) the same of a robot with nominal arms.
+        shift: (3,) of the DCM, that the arms are not nominal [m].
     """
 
     def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics, pelvis: PelvisReference) -> None:
@@ -98,6 +99,7 @@ class StandReference:
         self._pelvis_offset = np.zeros(3)
         self._chest_offset = np.zeros(3)
         self.dcm, self.vrp = np.zeros(3), np.zeros(3)
+        self.shift = np.zeros(3)
         self.centre_dcm, self.centre_vrp = np.zeros(3), np.zeros(3)
         self.pelvis, self.chest = np.eye(3), np.eye(3)
         self.turning = np.zeros(3)
@@ -138,6 +140,7 @@ class StandReference:
             self._support = self.centre_vrp  # where standing goes on from
             self._com_offset[:] = 0.0
         points = self._points @ self._shift.state
+        self.shift = points[0]
         self.dcm, self.vrp = points[0] + self.centre_dcm, points[1] + self.centre_vrp
 
     def _blend_in(self, s: float, rate: float, acceleration: float) -> None:

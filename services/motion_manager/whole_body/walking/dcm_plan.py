@@ -59,6 +59,14 @@ class DcmPlan:
             dcm[i] = knots[i] + ahead + exp(-self._omega * duration) * (dcm[i + 1] - knots[i + 1] - ahead)
         return dcm
 
+    def dcm(self, time: float) -> FloatArray:
+        """(3,) DCM [m] at any ``time`` [s] since the start."""
+        piece, began = self._piece, self._began
+        self._piece, self._began = 0, 0.0
+        dcm, _ = self.at(time)
+        self._piece, self._began = piece, began
+        return dcm
+
     def at(self, time: float) -> tuple[FloatArray, FloatArray]:
         """(3,) DCM and (3,) VRP [m] at ``time`` [s] since the start, which never goes back between calls."""
         while self._piece < len(self._durations) - 1 and time > self._began + self._durations[self._piece]:

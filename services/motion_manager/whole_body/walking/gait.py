@@ -10,6 +10,7 @@ is planned for later is forgotten by the DCM with e^{−ωt}; three steps ahead 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import hypot, sqrt
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy.typing as npt
 from motion_manager.whole_body.state import RobotState
 from motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from motion_manager.whole_body.walking.footsteps import LEFT, Step, StepSource
+from motion_manager.whole_body.walking.step_guard import StepGuard
 from motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 from valor_common.robot import RobotDescription
 
@@ -49,6 +51,7 @@ class Gait:
         self._source: StepSource
         self._step: Step | None = None
         self._plan: DcmPlan
+        self._guard = StepGuard(robot, omega)
         self._trajectory: SwingTrajectory
         self._time = 0.0  # since the transfer began [s]
         self._transfer = 0.0  # duration of it [s]
@@ -86,8 +89,14 @@ class Gait:
         self.swinging = self.foothold = self._step = None
         self.load[:] = 1.0
 
-    def update(self, state: RobotState, dt: float) -> None:
-        """One period."""
+    def update(self, state: RobotState, dcm: FloatArray, dt: float) -> None:
+        """One period.
+
+        Args:
+            state: the robot's.
+            dcm: (3,) its DCM, were its arms nominal [m].
+            dt: since the last period [s].
+        """
         self._time += dt
         if self.swinging is None:
             if self._time >= self._transfer:
@@ -99,6 +108,8 @@ class Gait:
         elif self._touched(state, self.swinging):
             self._end_swing(state)
         self.dcm, self.vrp = self._plan.at(self._time)
+        if self._step is not None:
+            self._give_way(state, dcm, self._step)
         self._feet()
 
     # --- phases ---------------------------------------------------------------------------------------------------
@@ -113,7 +124,19 @@ class Gait:
         else:
             self._step = self.foothold = None
             self._transfer = self._table.last_transfer_duration
-        self._plan_dcm(sole_poses(state), steps)
+        soles = sole_poses(state)
+        self._plan_dcm(soles, steps)
+        if steps:
+            step, stance = steps[0], 1 - steps[0].foot
+            touchdown = self._transfer + step.swing_duration
+            self._guard.begin(
+                step,
+                soles[stance],
+                self._over(soles[stance], stance),
+                landing_dcm=self._plan.dcm(touchdown),
+                touchdown=touchdown,
+                transfer=steps[1].transfer_duration if len(steps) > 1 else self._table.transfer_duration,
+            )
 
     def _plan_dcm(self, soles: list[SolePose], steps: Sequence[Step]) -> None:
         """The VRP's knots over the soles as they stand and will stand, and the DCM through them."""
@@ -173,6 +196,23 @@ class Gait:
             descent=table.late_descent,
         )
 
+    def _give_way(self, state: RobotState, dcm: FloatArray, step: Step) -> None:
+        """Take the step elsewhere, or at another time, where the DCM needs it."""
+        guard, time = self._guard, self._time
+        swinging = self.swinging is not None
+        found = guard.update(time, self._transfer, sole_poses(state)[step.foot], dcm - self.dcm)
+        if found is not None:
+            sole = SolePose(found.foothold, step.sole.rotation)
+            duration = step.swing_duration
+            if swinging:
+                duration = time - self._transfer + found.left
+                self._trajectory.retarget(time - self._transfer, sole, duration)
+            self._step, self.foothold = replace(step, sole=sole, swing_duration=duration), sole
+        if guard.adjusted is not None and swinging:
+            assert self._step is not None
+            left = self._transfer + self._step.swing_duration - time
+            self.dcm[:2], self.vrp[:2] = guard.reference(left)[:2], guard.centre[:2]  # heights are the plan's
+
     def _touched(self, state: RobotState, foot: int) -> bool:
         step, passed = self._step, self._time - self._transfer
         assert step is not None
@@ -186,7 +226,8 @@ class Gait:
         assert step is not None
         self._source.ended(step)
         self._landed, self.swinging = step.foot, None
-        self._early = max(0.0, self._transfer + step.swing_duration - self._time)
+        on_time = self._transfer + step.swing_duration
+        self._early = 0.0 if self._guard.adjusted else max(0.0, on_time - self._time)
         self._begin_transfer(state, self._source.upcoming(sole_poses(state)))
 
     def _feet(self) -> None:

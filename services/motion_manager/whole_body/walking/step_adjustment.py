@@ -1,22 +1,23 @@
 """Where and when the swinging foot comes down, given the DCM as it is: a small QP.
 
-Over the time T left to touchdown the stance foot's VRP c repels the DCM, and an error e of it grows to e·e^{ωT}. The DCM
-at touchdown that the plan's own timing leads to is ξ_p = ξ_td + e·e^{ωT}, with ξ_td the plan's. Other choices change it:
+Over the time T left to touchdown the stance foot's VRP c repels the DCM, and an error e of it grows to e·e^{ωT}. The
+DCM at touchdown that the plan's own timing leads to is ξ_p = ξ_td + e·e^{ωT}, with ξ_td the plan's. Other choices
+change it:
 
     ξ' = c + (ξ_p − c)·r + d        r = e^{ωΔT} for touchdown later by ΔT;  |d| ≤ l·(r·e^{ωT} − 1) for CoPs within ± l
 
-and the plan goes on from a foothold moved by Δs, the steps after it moved likewise, when ξ' = ξ_td + α·Δs. What is left of
-the equation is the error b of the next swing's first DCM, which the steps to come will have to make good:
+and the plan goes on from a foothold moved by Δs, the steps after it moved likewise, when ξ' = ξ_td + α·Δs. What is left
+of the equation is the error b of the next swing's first DCM, which the steps to come will have to make good:
 
     β·b = ξ' − ξ_td − α·Δs          β = e^{−ωT_d},  α = (1 − β)/(ωT_d),  T_d the transfer of weight after the step
 
-All of it is linear in (s, r, d), and time is one of the unknowns (Khadiv, Herzog, Moosavian & Righetti 2020, "Walking control
-based on step timing adaptation", whose formulation for point feet this extends to the CoP's reach and to double support):
+All of it is linear in (s, r, d), and time is one of the unknowns (Khadiv, Herzog, Moosavian & Righetti 2020, "Walking
+control based on step timing adaptation", for point feet; here with the CoP's reach and double support):
 
     min  w_s·‖Δs‖² + w_t·((r − 1)/ω)² + w_b·‖b‖² + w_d·‖d/(e^{ωT} − 1)‖²   s within reach, r within the foot's speed
 
-Without an error the plan is the optimum. The problem is written down in CasADi, which gives its matrices in a fraction of a
-microsecond, and solved by DAQP.
+Without an error the plan is the optimum. The problem is written down in CasADi, which gives its matrices in a fraction
+of a microsecond, and solved by DAQP.
 """
 
 from __future__ import annotations
@@ -145,7 +146,7 @@ class StepAdjuster:
             growth, (1.0 - decay) / (omega * situation.transfer), decay, omega,
         )  # fmt: skip
         self._evaluate()
-        self._bound(step, stance, (nx, ny), (fx, fy), left, situation.least, growth)
+        self._bound(situation, planned=(nx, ny), foot=(fx, fy), growth=growth)
         z, _, flag, _ = daqp.solve(self._hessian, self._gradient, self._rows, self._upper, self._lower)
         if flag < 1:
             return None
@@ -160,16 +161,17 @@ class StepAdjuster:
         return Adjustment(foothold, left + log(ratio) / omega, reached, cost)
 
     def _bound(
-        self,
-        step: Step,
-        stance: SolePose,
-        planned: tuple[float, float],
-        foot: tuple[float, float],
-        left: float,
-        least: float,
-        growth: float,
+        self, situation: Situation, *, planned: tuple[float, float], foot: tuple[float, float], growth: float
     ) -> None:
-        """Reach, speed of the foot, time, and the CoP's."""
+        """Reach, speed of the foot, time, and the CoP's.
+
+        Args:
+            situation: of the step.
+            planned: foothold, from the stance foot and in its heading [m].
+            foot: that swings, likewise [m].
+            growth: e^{ωT}.
+        """
+        step, stance, left = situation.step, situation.stance, situation.left
         reach, table, omega = self._reach, self._table, self._omega
         upper, lower, rows = self._upper, self._lower, self._rows
         side = 1.0 if step.foot == LEFT else -1.0
@@ -187,7 +189,7 @@ class StepAdjuster:
             # What is planned is always allowed, and so are bounds that a foot far off would cross.
             lower[i], upper[i] = min(low, planned[i], high), max(high, planned[i], low)
             distance = hypot(distance, planned[i] - foot[i])
-        soonest = min(left, max(least, PEAK * distance / table.foot_speed))
+        soonest = min(left, max(situation.least, PEAK * distance / table.foot_speed))
         lower[2], upper[2] = exp(omega * (soonest - left)), exp(omega * table.longest_delay)
         lx, ly = self._cop[1 - step.foot]
         # ± d − l·growth·r ≤ −l
@@ -198,6 +200,4 @@ class StepAdjuster:
         # a long step is not a wide one: |x| + width within reach
         for row, sign in ((4, 1.0), (5, -1.0)):
             rows[row, 0], rows[row, 1] = sign, side
-            upper[5 + row] = max(
-                reach.max_forward + table.diagonal_width, sign * planned[0] + side * planned[1]
-            )
+            upper[5 + row] = max(reach.max_forward + table.diagonal_width, sign * planned[0] + side * planned[1])

@@ -8,7 +8,7 @@ Each step's velocity differs from the last one's by no more than a limit, and wi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atan2, cos, hypot, sin
+from math import atan2, cos, hypot, inf, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -134,6 +134,7 @@ class VelocitySteps:
             swing_height=table.swing_height,
             swing_duration=swing,
             transfer_duration=transfer,
+            adjustable=inf,
         )
 
     def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:

@@ -1,0 +1,100 @@
+"""Watches over the step that is being taken: when the DCM leaves its plan too far, another foothold and time.
+
+A step is left alone while the error is small: the CoP makes good for that. From then on until shortly before touchdown,
+foothold and time follow the DCM every period (``step_adjustment``), and so does the DCM's reference,
+ξ(t) = c + (ξ_td − c)·e^{ω(t − T)} with the VRP c over the stance foot. While weight is still being transferred the
+foothold alone follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp
+
+import numpy as np
+
+from motion_manager.whole_body.state import FloatArray
+from motion_manager.whole_body.walking.footsteps import Step
+from motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
+from motion_manager.whole_body.walking.swing import SolePose
+from valor_common.robot import RobotDescription
+
+
+class StepGuard:
+    """One step after the other.
+
+    Attributes:
+        adjusted: the adjustment that holds, or None: the step is as planned.
+    """
+
+    def __init__(self, robot: RobotDescription, omega: float) -> None:
+        """Args: omega: ω [1/s]."""
+        self._table, self._omega = robot.tables.disturbance, omega
+        enabled = self._table.adjust_steps and robot.tables.footsteps is not None
+        self._adjuster = StepAdjuster(robot, omega) if enabled else None
+        self._situation: Situation
+        self._touchdown = 0.0
+        self._guards = False
+        self.adjusted: Adjustment | None = None
+
+    def begin(
+        self,
+        step: Step,
+        stance: SolePose,
+        centre: FloatArray,
+        *,
+        landing_dcm: FloatArray,
+        touchdown: float,
+        transfer: float,
+    ) -> None:
+        """A step begins, with the transfer of weight.
+
+        Args:
+            step: as planned.
+            stance: the sole of the other foot.
+            centre: (3,) VRP over it [m].
+            landing_dcm: (3,) DCM planned for touchdown [m].
+            touchdown: planned, on the clock of ``update`` [s].
+            transfer: of weight, planned after the step [s].
+        """
+        self.adjusted = None
+        self._touchdown = touchdown
+        self._guards = self._adjuster is not None and step.adjustable > 0.0
+        self._situation = Situation(
+            step, stance, stance, centre, np.zeros(3), landing_dcm, left=touchdown, least=0.0, transfer=transfer
+        )
+
+    def update(self, time: float, lift_off: float, swing: SolePose, dcm_error: FloatArray) -> Adjustment | None:
+        """Another foothold or time; None: nothing changes.
+
+        Args:
+            time: now [s].
+            lift_off: when the foot leaves or left the ground [s].
+            swing: the sole that swings or will, as it is.
+            dcm_error: (3,) measured DCM less the planned one [m].
+        """
+        left, table = self._touchdown - time, self._table
+        if not self._guards or left < table.final:
+            return None
+        x, y, _ = dcm_error.tolist()
+        if self.adjusted is None and x * x + y * y < table.threshold**2:
+            return None
+        assert self._adjuster is not None
+        least = lift_off + table.shortest_swing - time if time >= lift_off else left
+        situation = replace(self._situation, swing=swing, dcm_error=dcm_error, left=left, least=max(least, table.final))
+        found = self._adjuster.adjust(situation)
+        if found is not None:
+            self.adjusted = found
+        return found
+
+    @property
+    def centre(self) -> FloatArray:
+        """(3,) VRP over the stance foot [m]."""
+        return self._situation.centre
+
+    def reference(self, left: float) -> FloatArray:
+        """(3,) the adjusted step's DCM [m] so long before its touchdown [s]."""
+        assert self.adjusted is not None
+        centre = self._situation.centre
+        dcm: FloatArray = centre + (self.adjusted.landing_dcm - centre) * exp(-self._omega * max(left, 0.0))
+        return dcm
