@@ -22,8 +22,10 @@ of a microsecond, and solved by DAQP.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, exp, hypot, isfinite, log, sin
+from typing import Any
 
 import casadi as ca
 import daqp
@@ -93,7 +95,7 @@ class StepAdjuster:
         self._rows = np.zeros((6, UNKNOWNS))
         self._upper, self._lower = np.full(11, UNBOUNDED), np.full(11, -UNBOUNDED)
 
-    def _problem(self) -> ca.FunctionBuffer:
+    def _problem(self) -> Callable[[], None]:
         """The objective's matrices as functions of the parameters, bound to the arrays of this object."""
         table = self._table
         z, p = ca.SX.sym("z", UNKNOWNS), ca.SX.sym("p", PARAMETERS)
@@ -112,12 +114,14 @@ class StepAdjuster:
         function = ca.Function(
             "adjustment", [p], [ca.densify(hessian), ca.densify(at_zero[:UNKNOWNS]), ca.densify(at_zero[UNKNOWNS])]
         )
+        buffer: Any  # casadi's stubs know only the call with sizes
         buffer, evaluate = function.buffer()
-        buffer.set_arg(0, memoryview(self._parameters))
+        buffer.set_arg(0, memoryview(self._parameters))  # type: ignore[arg-type]  # NumPy's stubs: it is a Buffer
         for i, result in enumerate((self._hessian, self._gradient, self._constant)):
-            buffer.set_res(i, memoryview(result))
+            buffer.set_res(i, memoryview(result))  # type: ignore[arg-type]
         self._buffer = buffer  # keeps what ``evaluate`` works on alive
-        return evaluate
+        fill: Callable[[], None] = evaluate
+        return fill
 
     def adjust(self, situation: Situation) -> Adjustment | None:
         """The best foothold and time; None if there is none: numbers that are not finite."""
