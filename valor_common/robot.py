@@ -237,10 +237,9 @@ class PelvisMotion(Table):
 
 
 class Disturbance(Table):
-    """How steps give way to pushes, and when standing gives way to steps."""
+    """How steps give way to pushes."""
 
     adjust_steps: bool = True  # footholds and times of steps
-    capture_steps: bool = True  # pushed in standing, step
     plan_reach: NonNegative = 0.05  # that a plan's foothold may be moved by, either way along each axis [m]
     foothold_weight: Positive = 1.0  # of a foothold's shift [1/m²]
     time_weight: Positive = 0.3  # of a step's time [1/s²]
@@ -250,7 +249,6 @@ class Disturbance(Table):
     threshold: Positive = 0.025  # of the DCM error, below which a step is left alone [m]
     final: Positive = 0.06  # before touchdown, in which nothing is changed any more [s]
     shortest_swing: Positive = 0.3  # [s]
-    shortest_transfer: Positive = 0.05  # [s]
     longest_delay: NonNegative = 0.15  # of a touchdown [s]
     foot_speed: Positive = 2.5  # of a swinging foot, at most [m/s]
     clearance: NonNegative = 0.01  # between the feet, besides the robot's least width [m]
