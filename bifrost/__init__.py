@@ -1,7 +1,7 @@
 """Bifrost: publish–subscribe and request–reply between processes that find each other by topic name alone."""
 
 from bifrost.client import Client
-from bifrost.directory import DaemonInfo
+from bifrost.directory import Count, DaemonInfo
 from bifrost.encoding import codec
 from bifrost.errors import (
     ConfigurationError,
@@ -12,7 +12,7 @@ from bifrost.errors import (
     TimeoutError,
 )
 from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
-from bifrost.health import daemon_alive
+from bifrost.health import counts, daemon_alive
 from bifrost.messages import Float64Array, Message, Uint8Array
 from bifrost.network import Computer, Network
 from bifrost.node import Node
@@ -27,6 +27,7 @@ __all__ = [
     "Client",
     "Computer",
     "ConfigurationError",
+    "Count",
     "DaemonInfo",
     "End",
     "Error",
@@ -48,6 +49,7 @@ __all__ = [
     "TopicInfo",
     "Uint8Array",
     "codec",
+    "counts",
     "daemon_alive",
     "from_builtins",
     "to_builtins",

@@ -1,4 +1,4 @@
-"""The verbs ``topic list|info|echo|hz|bw`` and ``service list|call``: the network as a person sees it.
+"""The verbs ``topic list|info|echo|hz|bw|delay|pub`` and ``service list|call``: the network as a person sees it.
 
 ``topic`` and ``service`` are Typer apps to mount in a larger command line; ``python -m bifrost.cli`` has both. They
 join the network that ``BIFROST_NETWORK`` and ``BIFROST_KEYS`` name. What they raise is a ``bifrost.Error`` of one line.
@@ -18,8 +18,10 @@ from typing import Annotated, Any
 
 import typer
 
+from bifrost.directory import Count
 from bifrost.errors import Error, NoServerError, TimeoutError
 from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
+from bifrost.health import counts
 from bifrost.messages import Message
 from bifrost.node import Node
 from bifrost.plain import from_builtins, to_builtins
@@ -50,7 +52,7 @@ def topic_list(as_json: Json = False) -> None:
         graph = node.graph(_DAEMON_TIMEOUT)
     topics = [info for info in graph.topics.values() if info.publishers or info.subscribers]
     if as_json:
-        _print_json([_topic_json(graph, info) for info in topics])
+        _print_json([_topic_json(graph, info, {}) for info in topics])
         return
     rows = [
         (
@@ -66,14 +68,18 @@ def topic_list(as_json: Json = False) -> None:
 
 @topic.command("info")
 def topic_info(name: TopicName, as_json: Json = False) -> None:
-    """Show a topic's type with its fields, and who is at either end."""
+    """Show a topic's type with its fields, who is at either end, and what has passed, been dropped and refused there.
+
+    The counts are those that each node told last, a second ago at most.
+    """
     with _node() as node:
         graph = node.graph(_DAEMON_TIMEOUT)
+        told = counts(node.network, name, _DAEMON_TIMEOUT)
     info = graph.topics.get(name)
     if info is None:
         raise Error(f"topic {name}: nobody publishes or subscribes to it")
     if as_json:
-        _print_json(_topic_json(graph, info))
+        _print_json(_topic_json(graph, info, told))
         return
     hashes = sorted({digest for end in (*info.publishers, *info.subscribers) for digest in end.hashes})
     print(f"topic {name}")
@@ -83,10 +89,13 @@ def topic_info(name: TopicName, as_json: Json = False) -> None:
             print(f"type {type_name}" + (f" ({digest})" if type_name == schema.name else ""))
             for field, field_type in schema.types[type_name]:
                 print(f"  {field}: {field_type}")
-    for what, ends in (("publisher", info.publishers), ("subscriber", info.subscribers)):
-        for end in ends:
-            where = f" at {end.endpoint}" if end.endpoint else ""
-            print(f"{what} {end.node} (pid {end.pid} on {end.computer}){where}")
+    for end, count in _with_counts("publisher", info.publishers, told):
+        latched = ", latched" if end.latched else ""
+        passed = f": {count.messages} messages" if count else ""
+        print(f"publisher {end.node} (pid {end.pid} on {end.computer}{latched}) at {end.endpoint}{passed}")
+    for end, count in _with_counts("subscriber", info.subscribers, told):
+        passed = f": {count.messages} messages, {count.drops} dropped, {count.rejected} refused" if count else ""
+        print(f"subscriber {end.node} (pid {end.pid} on {end.computer}){passed}")
 
 
 @topic.command("echo")
@@ -111,7 +120,8 @@ def topic_echo(
 @topic.command("hz")
 def topic_hz(name: TopicName, duration: Duration = None, as_json: Json = False, timeout: Timeout = 5.0) -> None:
     """Measure how often a topic is published, by the publisher's own stamps; every second, or once with --for."""
-    for messages, _, drops in _windows(name, duration, timeout):
+    for arrivals, _, drops in _windows(name, duration, timeout):
+        messages = [received for received, _ in arrivals]
         periods = [(b.stamp - a.stamp) / 1e9 for a, b in pairwise(messages)]
         if not periods:
             periods = [0.0]
@@ -139,7 +149,8 @@ def topic_hz(name: TopicName, duration: Duration = None, as_json: Json = False, 
 @topic.command("bw")
 def topic_bw(name: TopicName, duration: Duration = None, as_json: Json = False, timeout: Timeout = 5.0) -> None:
     """Measure how many bytes a topic takes; every second, or once with --for."""
-    for messages, size, drops in _windows(name, duration, timeout):
+    for arrivals, size, drops in _windows(name, duration, timeout):
+        messages = [received for received, _ in arrivals]
         span = max(1e-9, (messages[-1].stamp - messages[0].stamp) / 1e9) if len(messages) > 1 else 1.0
         mean = size / max(1, len(messages))
         rate = mean * (len(messages) - 1) / span if len(messages) > 1 else float(size)
@@ -148,6 +159,75 @@ def topic_bw(name: TopicName, duration: Duration = None, as_json: Json = False, 
             _print_json(result | {"messages": len(messages), "drops": drops}, one_line=True)
         else:
             print(f"{_bytes(rate)}/s; {_bytes(mean)} a message, {len(messages)} messages", flush=True)
+
+
+@topic.command("delay")
+def topic_delay(name: TopicName, duration: Duration = None, as_json: Json = False, timeout: Timeout = 5.0) -> None:
+    """Measure how long messages take from their stamp to here; every second, or once with --for.
+
+    Stamps are of the publisher's computer: the topic must be published on this one.
+    """
+    for arrivals, _, drops in _windows(name, duration, timeout, one_clock=True):
+        delays = sorted((at - received.stamp) / 1e9 for received, at in arrivals)
+        result = {
+            "delay_mean": statistics.fmean(delays),
+            "delay_median": statistics.median(delays),
+            "delay_p99": delays[min(len(delays) - 1, int(0.99 * len(delays)))],
+            "delay_min": delays[0],
+            "delay_max": delays[-1],
+            "delay_stddev": statistics.pstdev(delays),
+            "messages": len(delays),
+            "drops": drops,
+        }
+        if as_json:
+            _print_json({"topic": name} | result, one_line=True)
+        else:
+            print(
+                f"delay mean {result['delay_mean'] * 1e6:.0f} µs, median {result['delay_median'] * 1e6:.0f}, "
+                f"99 % {result['delay_p99'] * 1e6:.0f}, min {delays[0] * 1e6:.0f}, max {delays[-1] * 1e6:.0f}, "
+                f"deviation {result['delay_stddev'] * 1e6:.0f}; {len(delays)} messages, {drops} dropped",
+                flush=True,
+            )
+
+
+@topic.command("pub")
+def topic_pub(
+    name: TopicName,
+    message: Annotated[str, typer.Argument(help="The message's fields as a JSON object.")],
+    *,
+    rate: Annotated[float, typer.Option(help="Messages a second.", min=0.001, max=10_000.0)] = 1.0,
+    count: Annotated[int, typer.Option(help="Messages in all; 0: until interrupted.", min=0)] = 1,
+    latched: Annotated[bool, typer.Option("--latched", help="Who comes later gets the last message.")] = False,
+    as_json: Json = False,
+    timeout: Annotated[float, typer.Option(help="For somebody from whom to learn the type [s].", min=0.0)] = 5.0,
+) -> None:
+    """Publish on a topic that somebody publishes or subscribes to: the type is learned from them.
+
+    Begins when all that subscribe have connected. With --latched it goes on until interrupted.
+    """
+    fields = _object(message, "MESSAGE")
+    sent = 0
+    with _node() as node, _until_interrupted():
+        graph, end = _typed_end(node, name, timeout)
+        message_type = type_from_schema(graph.schemas[end.hashes[0]])
+        content = from_builtins(message_type, fields)
+        publisher = node.publisher(name, message_type, latched=True)
+        # One message to a connection that is yet to be made would be heard by nobody.
+        deadline = time.monotonic() + timeout
+        expected = len(graph.topics[name].subscribers)
+        while publisher.subscribers < expected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        due = time.monotonic()
+        while not count or sent < count:
+            time.sleep(max(0.0, due - time.monotonic()))
+            due += 1.0 / rate
+            sent = publisher.publish(content)
+        while latched:
+            time.sleep(1.0)
+    if as_json:
+        _print_json({"topic": name, "type": end.types[0], "messages": sent})
+    else:
+        print(f"published {sent} {end.types[0]}")
 
 
 @service.command("list")
@@ -174,10 +254,7 @@ def service_call(
     timeout: Annotated[float, typer.Option(help="For a server and its reply [s].", min=0.0)] = 5.0,
 ) -> None:
     """Send a request and print the reply."""
-    try:
-        fields = json.loads(request)
-    except ValueError as error:
-        raise typer.BadParameter(f"expected a JSON object: {error}", param_hint="REQUEST") from None
+    fields = _object(request, "REQUEST")
     with _node() as node:
         graph, server = _server(node, name, timeout)
         types = [type_from_schema(graph.schemas[digest]) for digest in server.hashes]
@@ -211,6 +288,20 @@ def _server(node: Node, name: str, timeout: float) -> tuple[Graph, End]:
         time.sleep(0.02)
 
 
+def _typed_end(node: Node, name: str, timeout: float) -> tuple[Graph, End]:
+    """Somebody who publishes or subscribes to a topic and knows its type; waited for."""
+    deadline = time.monotonic() + timeout
+    while True:
+        graph = node.graph(_DAEMON_TIMEOUT)
+        if info := graph.topics.get(name):
+            for end in (*info.publishers, *info.subscribers):
+                if end.hashes:
+                    return graph, end
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"topic {name}: nobody who knows its type within {timeout:g} s")
+        time.sleep(0.02)
+
+
 def _first(node: Node, subscriber: Subscriber[Message], timeout: float) -> Received[Message]:
     """The first message.
 
@@ -228,23 +319,35 @@ def _first(node: Node, subscriber: Subscriber[Message], timeout: float) -> Recei
     raise TimeoutError(f"topic {subscriber.topic}: {names} published nothing within {timeout:g} s")
 
 
-def _windows(name: str, duration: float | None, timeout: float) -> Iterator[tuple[list[Received[Message]], int, int]]:
-    """The messages of every second, or of ``duration`` once: with their size [B] and how many were dropped."""
+def _windows(
+    name: str, duration: float | None, timeout: float, one_clock: bool = False
+) -> Iterator[tuple[list[tuple[Received[Message], int]], int, int]]:
+    """The messages of every second, or of ``duration`` once, each with when it came [ns]; their size [B]; the drops.
+
+    Raises:
+        Error: ``one_clock`` is asked for, and the topic is published on another computer.
+    """
     with _node() as node, _until_interrupted():
         subscriber = node.subscribe_any(name, queue=_QUEUE)
         _first(node, subscriber, timeout)
+        if one_clock:
+            publishers = node.graph(_DAEMON_TIMEOUT).topics[name].publishers
+            here = node.network.computer.name
+            for end in publishers:
+                if end.computer != here:
+                    raise Error(f"topic {name}: {end.node} stamps by the clock of {end.computer}; measure there")
         while True:
             size, drops = subscriber.bytes_received, subscriber.drops
-            messages: list[Received[Message]] = []
+            arrivals: list[tuple[Received[Message], int]] = []
             deadline = time.monotonic() + (duration or 1.0)
             while (remaining := deadline - time.monotonic()) > 0.0:
                 received = subscriber.receive(timeout=remaining)
                 if received is not None:
-                    messages.append(received)
-            if not messages and duration is not None:
+                    arrivals.append((received, time.monotonic_ns()))
+            if not arrivals and duration is not None:
                 raise TimeoutError(f"topic {name}: nothing published within {duration:g} s")
-            if messages:
-                yield messages, subscriber.bytes_received - size, subscriber.drops - drops
+            if arrivals:
+                yield arrivals, subscriber.bytes_received - size, subscriber.drops - drops
             if duration is not None:
                 return
 
@@ -260,21 +363,50 @@ def _until_interrupted() -> Iterator[None]:
         sys.stdout = None  # nobody reads: do not try again at exit
 
 
+# --- what a person or a program writes --------------------------------------------------------------------------------
+
+
+def _object(text: str, parameter: str) -> Any:
+    """JSON of a message; an object that says a field twice is refused."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        fields = dict(pairs)
+        if len(fields) != len(pairs):
+            raise ValueError("a field is there twice")
+        return fields
+
+    try:
+        return json.loads(text, object_pairs_hook=once)
+    except (ValueError, RecursionError) as error:
+        raise typer.BadParameter(f"expected a JSON object: {error}", param_hint=parameter) from None
+
+
 # --- what a person or a program reads ---------------------------------------------------------------------------------
 
 
-def _end_json(end: End) -> dict[str, Any]:
-    return {
+def _end_json(end: End, count: Count | None = None) -> dict[str, Any]:
+    described: dict[str, Any] = {
         "node": end.node,
         "pid": end.pid,
         "computer": end.computer,
         "types": list(end.types),
         "hashes": list(end.hashes),
         "endpoint": end.endpoint or None,
+        "latched": end.latched,
     }
+    if count is not None:
+        described |= {"messages": count.messages, "drops": count.drops, "rejected": count.rejected}
+    return described
 
 
-def _topic_json(graph: Graph, info: TopicInfo) -> dict[str, Any]:
+def _with_counts(kind: str, ends: Sequence[End], told: dict[int, list[Count]]) -> Iterator[tuple[End, Count | None]]:
+    """Ends with their counts: those of a node are in the order in which it made them."""
+    rest = {node: iter([count for count in counts if count.kind == kind]) for node, counts in told.items()}
+    for end in ends:
+        yield end, next(rest.get(end.incarnation, iter(())), None)
+
+
+def _topic_json(graph: Graph, info: TopicInfo, told: dict[int, list[Count]]) -> dict[str, Any]:
     ends = (*info.publishers, *info.subscribers)
     return {
         "name": info.name,
@@ -283,8 +415,8 @@ def _topic_json(graph: Graph, info: TopicInfo) -> dict[str, Any]:
             digest: {"name": graph.schemas[digest].name, "types": graph.schemas[digest].types}
             for digest in sorted({digest for end in ends for digest in end.hashes})
         },
-        "publishers": [_end_json(end) for end in info.publishers],
-        "subscribers": [_end_json(end) for end in info.subscribers],
+        "publishers": [_end_json(*pair) for pair in _with_counts("publisher", info.publishers, told)],
+        "subscribers": [_end_json(*pair) for pair in _with_counts("subscriber", info.subscribers, told)],
     }
 
 

@@ -17,7 +17,6 @@ import msgspec
 import zmq
 
 from bifrost import directory as d
-from bifrost import wire
 from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
 from bifrost.schema import Schema
@@ -247,7 +246,7 @@ class Discovery:
                 frame = self._wake.recv(zmq.NOBLOCK)
             except zmq.Again:
                 return
-            if frame[:1] == b"\x01" and frame[1:2] != wire.PRIVATE:
+            if frame[:1] == b"\x01":
                 with self._lock:
                     self._wakes.add(frame[1:-1].decode())
 

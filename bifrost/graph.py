@@ -19,6 +19,8 @@ class End:
     types: tuple[str, ...]  # of a topic one; of a service request and reply; empty: any
     hashes: tuple[str, ...]
     endpoint: str  # empty for those that connect
+    incarnation: int  # of the node
+    latched: bool  # of a publisher
 
 
 @dataclass
@@ -65,7 +67,16 @@ class Graph:
         return cls(graph.nodes, dict(sorted(graph.topics.items())), dict(sorted(graph.services.items())), graph.schemas)
 
     def _add(self, record: NodeRecord, entry: Entry) -> None:
-        end = End(record.name, record.pid, record.computer, entry.types, entry.hashes, entry.endpoint)
+        end = End(
+            record.name,
+            record.pid,
+            record.computer,
+            entry.types,
+            entry.hashes,
+            entry.endpoint,
+            record.incarnation,
+            entry.latched,
+        )
         if entry.kind in ("publisher", "subscriber"):
             topic = self.topics.setdefault(entry.topic, TopicInfo(entry.topic))
             (topic.publishers if entry.kind == "publisher" else topic.subscribers).append(end)

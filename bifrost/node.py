@@ -12,13 +12,14 @@ import zmq
 from bifrost import security, wire
 from bifrost.client import Client
 from bifrost.discovery import WAKE_ENDPOINT, Discovery
+from bifrost.encoding import codec
 from bifrost.errors import Error, TimeoutError
 from bifrost.graph import Graph
 from bifrost.messages import M, Message
 from bifrost.network import Network
-from bifrost.publisher import Outlet, Publisher
+from bifrost.publisher import Latch, Outlet, Publisher
 from bifrost.server import Server
-from bifrost.subscriber import Subscriber
+from bifrost.subscriber import Drop, Subscriber
 
 R = TypeVar("R", bound=Message)
 _NAME = re.compile(r"[A-Za-z0-9_.~-]+(/[A-Za-z0-9_.~-]+)*")
@@ -64,33 +65,52 @@ class Node:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def publisher(self, topic: str, message_type: type[M]) -> Publisher[M]:
+    def publisher(self, topic: str, message_type: type[M], latched: bool = False) -> Publisher[M]:
         """Publish on a topic.
+
+        Args:
+            topic: its name.
+            message_type: what is published.
+            latched: a subscriber that comes later gets the last message published before, as long as the publisher
+                is open.
 
         Raises:
             ValueError: no name for a topic.
             TypeError: a field of the type is none that a message can have.
         """
         self._check(topic)
+        host = self.network.computer.host
+        if latched:
+            codec(message_type)  # a type that no message can have is refused before anything is opened
+            latch = Latch(self.listening_socket(zmq.XPUB), host, topic, self.discovery)
+            return self._keep(Publisher(self, latch, topic, message_type))
         with self._lock:
             if self._outlet is None:
-                self._outlet = Outlet(self.listening_socket(zmq.PUB), self.network.computer.host)
+                self._outlet = Outlet(self.listening_socket(zmq.PUB), host)
             outlet = self._outlet
         return self._keep(Publisher(self, outlet, topic, message_type))
 
-    def subscriber(self, topic: str, message_type: type[M], queue: int | None = None) -> Subscriber[M]:
+    def subscriber(
+        self, topic: str, message_type: type[M], queue: int | None = None, drop: Drop = "newest"
+    ) -> Subscriber[M]:
         """Subscribe to a topic.
 
         Args:
             topic: its name; the publisher may come before or after.
             message_type: publishers of another are refused, see ``Subscriber.mismatches``.
             queue: None: the newest message only. Otherwise every message, this many held at least; what is more is
-                dropped, newest first, and counted.
+                dropped and counted.
+            drop: of a full queue, the newest: what comes is not taken; or the oldest: a thread of the subscriber takes
+                what comes and lets go of what has waited longest.
         """
         self._check(topic)
         if queue is not None and queue < 1:
             raise ValueError(f"{topic}: queue: expected at least 1, got {queue}")
-        return self._keep(Subscriber(self, topic, message_type, queue))
+        if drop not in ("newest", "oldest"):
+            raise ValueError(f"{topic}: drop: expected newest or oldest, got {drop!r}")
+        if drop == "oldest" and queue is None:
+            raise ValueError(f"{topic}: drop: expected a queue to drop the oldest of")
+        return self._keep(Subscriber(self, topic, message_type, queue, drop))
 
     def subscribe_any(self, topic: str, queue: int | None = None) -> Subscriber[Message]:
         """Subscribe to a topic whatever its type: decoded by the schema that its publisher has registered."""

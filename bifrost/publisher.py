@@ -16,6 +16,7 @@ from bifrost.errors import Error
 from bifrost.messages import M
 
 if TYPE_CHECKING:
+    from bifrost.discovery import Discovery
     from bifrost.node import Node
 
 
@@ -32,6 +33,66 @@ class Outlet:
         self.socket = socket
         self.lock = threading.Lock()
 
+    def send(self, frame: bytes) -> None:
+        """Give a frame to whoever subscribes; never blocks."""
+        with self.lock:
+            self.socket.send(frame, zmq.NOBLOCK)
+
+
+class Latch(Outlet):
+    """The socket of one latched publisher: whoever subscribes gets the last message, once and for itself.
+
+    The socket (XPUB, manual) subscribes nobody by itself. Each newcomer is first subscribed to the last message, sent
+    to it alone, and from then on to what is published. ZeroMQ wakes one reader for all that has come; whoever takes
+    the lock therefore serves all newcomers.
+    """
+
+    def __init__(self, socket: zmq.Socket[bytes], host: str, topic: str, discovery: Discovery) -> None:
+        socket.setsockopt(zmq.XPUB_MANUAL, 1)
+        super().__init__(socket, host)
+        self._subscription = b"\x01" + topic.encode() + b"\0"
+        self._end_of_subscription = b"\0" + topic.encode() + b"\0"
+        self._name = topic.encode() + b"\0"
+        self._last = b""
+        self.subscribers = 0
+        self._discovery = discovery
+        self._descriptor = int(socket.getsockopt(zmq.FD))
+        discovery.attend(self._descriptor, self._admit)
+
+    def send(self, frame: bytes) -> None:
+        """Give a frame to whoever subscribes, and keep it for those to come; never blocks."""
+        with self.lock:
+            self._serve_newcomers()
+            self._last = frame
+            self.socket.send(frame, zmq.NOBLOCK)
+
+    def close(self) -> None:
+        """Close the socket; from now on newcomers get nothing."""
+        self._discovery.leave_alone(self._descriptor, self.socket.close)
+
+    def _admit(self) -> None:
+        with self.lock:
+            self._serve_newcomers()
+
+    def _serve_newcomers(self) -> None:
+        while True:
+            try:
+                subscription = self.socket.recv(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            if subscription == self._end_of_subscription:
+                self.subscribers -= 1
+            if subscription != self._subscription:
+                continue
+            self.subscribers += 1
+            # What is set here concerns whoever sent the subscription.
+            if self._last:
+                alone = self._name + wire.LATCHED
+                self.socket.setsockopt(zmq.SUBSCRIBE, alone)
+                self.socket.send(alone + self._last[len(self._name) :], zmq.NOBLOCK)
+                self.socket.setsockopt(zmq.UNSUBSCRIBE, alone)
+            self.socket.setsockopt(zmq.SUBSCRIBE, self._name + bytes([wire.VERSION]))
+
 
 class Publisher(Generic[M]):
     """Publishes messages of one type on one topic. Made by ``Node.publisher``."""
@@ -43,8 +104,7 @@ class Publisher(Generic[M]):
         self._encode = self._codec.encode
         self._type = message_type
         self._outlet = outlet
-        self._lock = outlet.lock
-        self._send = outlet.socket.send
+        self._send = outlet.send
         self._sequence = 0
         incarnation = secrets.randbits(64)  # a publisher made anew is no gap in the sequence
         origin = node.name.encode()
@@ -54,8 +114,9 @@ class Publisher(Generic[M]):
         self._origin = bytes([len(origin)]) + origin
         self._pack = wire.PUBLICATION_VARIABLE.pack
         self._closed = False
-        entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint)
-        self._key = node.discovery.announce(entry, [self._codec.schema])
+        latched = isinstance(outlet, Latch)
+        entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint, latched)
+        self._key = node.discovery.announce(entry, [self._codec.schema], lambda: (self._sequence, 0, 0))
 
     def publish(self, message: M) -> int:
         """Send a message to whoever subscribes; never blocks. Returns its sequence number, from 1.
@@ -73,14 +134,20 @@ class Publisher(Generic[M]):
         frame = b"".join((self._prefix, self._pack(sequence, time.monotonic_ns()), self._origin, payload))
         if len(frame) > wire.MAX_MESSAGE_SIZE:
             raise Error(f"{self.topic}: a message of {len(frame)} bytes; at most {wire.MAX_MESSAGE_SIZE}")
-        with self._lock:
-            self._send(frame, zmq.NOBLOCK)
+        self._send(frame)
         self._sequence = sequence
         return sequence
+
+    @property
+    def subscribers(self) -> int:
+        """How many are connected to a latched publisher; of another, which cannot know, none."""
+        return self._outlet.subscribers if isinstance(self._outlet, Latch) else 0
 
     def close(self) -> None:
         """Withdraw the topic."""
         if not self._closed:
             self._closed = True
             self._node.discovery.withdraw(self._key)
+            if isinstance(self._outlet, Latch):
+                self._outlet.close()
             self._node.forget(self)

@@ -35,6 +35,7 @@ class Server(Generic[M, R]):
     ) -> None:
         self.topic = topic
         self.rejected = 0
+        self._answered = 0
         self._node = node
         self._request, self._reply = codec(request), codec(reply)
         self._reply_type = reply
@@ -49,7 +50,8 @@ class Server(Generic[M, R]):
             "server", topic, (self._request.name, self._reply.name),
             (self._request.hash.hex(), self._reply.hash.hex()), self.socket.getsockopt_string(zmq.LAST_ENDPOINT),
         )  # fmt: skip
-        self._key = node.discovery.announce(entry, [self._request.schema, self._reply.schema])
+        schemas = [self._request.schema, self._reply.schema]
+        self._key = node.discovery.announce(entry, schemas, lambda: (self._answered, 0, self.rejected))
 
     def serve(self) -> int:
         """Answer all requests that wait, in this thread; never blocks. Returns how many it answered.
@@ -72,6 +74,12 @@ class Server(Generic[M, R]):
                 except zmq.ZMQError:
                     _log.warning("%s: a client went away before its reply", self.topic)
                 answered += 1
+                self._answered += 1
+
+    @property
+    def pollable(self) -> zmq.Socket[bytes]:
+        """For ``bifrost.wait`` and ZeroMQ's pollers."""
+        return self.socket
 
     def ready(self) -> bool:
         """Whether a request waits. Never blocks."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zmq
 
@@ -12,7 +12,10 @@ import zmq
 class Waitable(Protocol):
     """What ``wait`` waits for: a subscriber or a server."""
 
-    socket: zmq.Socket[bytes]
+    @property
+    def pollable(self) -> zmq.Socket[bytes] | int:
+        """The socket or descriptor to poll."""
+        ...
 
     def ready(self) -> bool:
         """Whether something waits."""
@@ -37,7 +40,7 @@ def wait(items: Sequence[W], timeout: float | None = None) -> list[W]:
         Those that have something, in the order given; empty after the time-out.
     """
     deadline = None if timeout is None else time.monotonic() + timeout
-    polled = [(item.socket, zmq.POLLIN) for item in items]
+    polled: list[tuple[Any, int]] = [(item.pollable, zmq.POLLIN) for item in items]
     while True:
         held = any(item.holding() for item in items)
         remaining = 0.0 if deadline is None else deadline - time.monotonic()
@@ -47,6 +50,6 @@ def wait(items: Sequence[W], timeout: float | None = None) -> list[W]:
             milliseconds = -1 if deadline is None else int(remaining * 1000.0) + 1
         polled_ready = dict(zmq.zmq_poll(polled, milliseconds))
         # A socket may have woken for news of publishers, or for a message that is refused: nothing for the caller.
-        ready = [item for item in items if item.holding() or (item.socket in polled_ready and item.ready())]
+        ready = [item for item in items if item.holding() or (item.pollable in polled_ready and item.ready())]
         if ready or (deadline is not None and remaining <= 0.0):
             return ready

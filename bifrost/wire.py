@@ -17,10 +17,8 @@ MAX_MESSAGE_SIZE = 64 * 2**20  # [B]; a peer that sends more is disconnected
 PUBLICATION = Struct("<B8sQQqB")
 PUBLICATION_CONSTANT = Struct("<B8sQ")
 PUBLICATION_VARIABLE = Struct("<Qq")
-# The last message of a latched publisher, for one subscriber alone: PRIVATE, the subscriber's eight bytes, and the
-# message as it was published. The subscriber subscribes to that prefix with the topic and its NUL.
-PRIVATE = b"\xff"  # sorts behind every topic, so that no message falls between the two subscriptions
-PRIVATE_SIZE = 9  # [B]
+# A latched publisher's last message, sent to one late subscriber alone, has this byte between the NUL and PUBLICATION.
+LATCHED = b"\xff"
 
 # A request is one frame: topic, NUL, REQUEST, origin, payload.
 # version, request's schema hash, reply's schema hash, request id, computer, monotonic deadline [ns], length of origin

@@ -1,4 +1,4 @@
-"""A process for the Bifrost tests: ``publish|subscribe|serve TOPIC [argument]``."""
+"""A process for the Bifrost tests: ``publish|latch|subscribe|serve TOPIC [argument]``."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def say(content: object) -> None:
     print(json.dumps(content), flush=True)
 
 
-def publish(node: bifrost.Node, topic: str, rate: float) -> None:
+def publish(node: bifrost.Node, topic: str, rate: float, latched: bool) -> None:
     """Publish samples at a rate, for ever."""
-    publisher = node.publisher(topic, Sample)
+    publisher = node.publisher(topic, Sample, latched)
     say("ready")
     count = 0
     due = time.monotonic()
@@ -63,8 +63,8 @@ def serve(node: bifrost.Node, topic: str) -> None:
 if __name__ == "__main__":
     role, topic = sys.argv[1:3]
     with bifrost.Node(f"{role}_peer") as own_node:
-        if role == "publish":
-            publish(own_node, topic, float(sys.argv[3]))
+        if role in ("publish", "latch"):
+            publish(own_node, topic, float(sys.argv[3]), role == "latch")
         elif role == "subscribe":
             subscribe(own_node, topic, int(sys.argv[3]))
         else:

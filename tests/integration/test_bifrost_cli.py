@@ -21,6 +21,7 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Question,
     Sample,
+    connected,
     sample,
     until,
 )
@@ -51,7 +52,8 @@ def registered(net: BifrostNetwork, *names: str) -> None:
 
 def test_topics(net: BifrostNetwork) -> None:
     peer = net.peer("publish", "lab/sample", "200")
-    net.node("listener").subscriber("lab/sample", Sample)
+    listener = net.node("listener").subscriber("lab/sample", Sample)
+    assert listener.receive(timeout=10.0)
     registered(net, "publish_peer", "listener")
     listed = until(lambda: [t for t in run_json("topic", "list") if t["subscribers"]], "the subscriber is listed")
     [topic] = listed
@@ -63,7 +65,17 @@ def test_topics(net: BifrostNetwork) -> None:
     info = run("topic", "info", "lab/sample")
     assert "  values: float64[]\n" in info
     assert f"publisher publish_peer (pid {peer.pid} on localhost) at tcp://127.0.0.1:" in info
-    assert run_json("topic", "info", "lab/sample") == topic
+
+    def counted() -> Any:
+        """Once both have told the daemon."""
+        told = run_json("topic", "info", "lab/sample")
+        ends = (*told["publishers"], *told["subscribers"])
+        return told if all(end.get("messages") for end in ends) else None
+
+    told = until(counted, "messages are counted at both ends")
+    assert told["schemas"] == topic["schemas"]
+    assert (told["subscribers"][0]["drops"], told["subscribers"][0]["rejected"]) == (0, 0)
+    assert " messages, 0 dropped, 0 refused" in run("topic", "info", "lab/sample")
 
     echoed = run_json("topic", "echo", "lab/sample", "--once")
     assert (echoed["type"], echoed["origin"]) == ("Sample", "publish_peer")
@@ -74,6 +86,9 @@ def test_topics(net: BifrostNetwork) -> None:
     rate = run_json("topic", "hz", "lab/sample", "--for", "0.5")
     assert rate["messages"] > 2 and rate["rate"] == pytest.approx(1.0 / rate["period_mean"])
     assert "Hz; period mean" in run("topic", "hz", "lab/sample", "--for", "0.2")
+    delay = run_json("topic", "delay", "lab/sample", "--for", "0.5")
+    assert 0.0 < delay["delay_min"] <= delay["delay_median"] <= delay["delay_p99"] <= delay["delay_max"] < 5.0
+    assert "delay mean" in run("topic", "delay", "lab/sample", "--for", "0.2")
     width = run_json("topic", "bw", "lab/sample", "--for", "0.5")
     frame = len("lab/sample") + 1 + 34 + len("publish_peer") + len(bifrost.codec(Sample).encode(sample(1000)))
     assert width["bytes_mean"] == pytest.approx(frame, abs=4)  # digits of the count
@@ -107,6 +122,33 @@ def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
     assert json.loads(lines[0], parse_constant=pytest.fail)["message"]["values"] == [None, None, 1.0]
 
 
+def test_drops_and_refusals_are_seen_from_another_shell(net: BifrostNetwork) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    subscriber = net.node("listener").subscriber("lab/sample", Sample, queue=5, drop="oldest")
+    connected(publisher, subscriber)
+    for count in range(100):
+        publisher.publish(sample(count))
+    until(lambda: subscriber.drops == 95, "the oldest are dropped")
+
+    def seen() -> bool:
+        [end] = run_json("topic", "info", "lab/sample")["subscribers"]
+        return bool(end.get("drops") == 95)
+
+    until(seen, "the drops are in topic info")
+
+
+def test_publishing_from_the_command_line(net: BifrostNetwork) -> None:
+    listener = net.peer("subscribe", "lab/sample", "100")
+    registered(net, "subscribe_peer")
+    fields = json.dumps(bifrost.to_builtins(sample(5)))
+    sent = run_json("topic", "pub", "lab/sample", fields, "--count", "3", "--rate", "100")
+    assert sent == {"topic": "lab/sample", "type": "Sample", "messages": 3}
+    heard = [listener.line() for _ in range(3)]
+    assert [(line["count"], line["sequence"], line["drops"]) for line in heard] == [(5, 1, 0), (5, 2, 0), (5, 3, 0)]
+    assert "published 1 Sample" in run("topic", "pub", "lab/sample", fields)
+    assert listener.line()["sequence"] == 1  # of another publisher
+
+
 def test_services(net: BifrostNetwork) -> None:
     net.peer("serve", "lab/ask")
     client = net.node("asker").client("lab/ask", Question, Answer)
@@ -130,6 +172,11 @@ def test_services(net: BifrostNetwork) -> None:
         (("topic", "info", "lab/none"), "topic lab/none: nobody publishes or subscribes to it"),
         (("service", "call", "lab/none", "--timeout", "0.2"), "service lab/none: no server within 0.2 s"),
         (("service", "call", "lab/ask", '{"action": 1}'), "Question.argument is missing"),
+        (
+            ("topic", "pub", "lab/none", "{}", "--timeout", "0.2"),
+            "topic lab/none: nobody who knows its type within 0.2 s",
+        ),
+        (("topic", "pub", "lab/quiet", '{"count": 1}'), "Sample.label is missing"),
         (("service", "call", "lab/ask", '{"action": "raise", "argument": 0}'), "lab/ask: ValueError: no such valve"),
     ],
 )
@@ -158,6 +205,9 @@ def test_exit_status_and_stderr(net: BifrostNetwork) -> None:
     assert missing.stderr == "bifrost: /nowhere: no such folder of Bifrost keys\n"
     assert verb("topic", "shout").returncode == 2
     assert verb("service", "call", "lab/ask", "{").returncode == 2
+    twice = verb("topic", "pub", "lab/ask", '{"count": 1, "count": 2}')
+    assert twice.returncode == 2
+    assert "a field is there twice" in twice.stderr
 
 
 def test_without_a_daemon(bare_network: BifrostNetwork) -> None:

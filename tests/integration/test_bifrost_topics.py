@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import selectors
 import signal
+import socket as sockets
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
+import msgspec
 import numpy as np
+import psutil
 import pytest
 import zmq
 from hypothesis import HealthCheck, given, settings
@@ -20,6 +24,7 @@ from bifrost import wire
 from bifrost.directory import Entry
 from tests.integration.bifrost_network import (
     BifrostNetwork,
+    Peer,
     Sample,
     connected,
     sample,
@@ -241,6 +246,108 @@ def test_the_descriptor_serves_an_event_loop(net: BifrostNetwork) -> None:
     assert counts == list(range(200))
 
 
+@pytest.mark.parametrize("queue", [None, 100])
+def test_who_comes_late_gets_the_last_of_a_latched_publisher_once(net: BifrostNetwork, queue: int | None) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample, latched=True)
+    for count in range(5):
+        publisher.publish(sample(count))
+    late = net.node("late").subscriber("lab/sample", Sample, queue=queue)
+    received = late.receive(timeout=10.0)
+    assert received is not None and (received.sequence, received.message) == (5, sample(4))
+    publisher.publish(sample(5))
+    later = net.node("later").subscriber("lab/sample", Sample, queue=queue)
+    anybody = net.node("anybody").subscribe_any("lab/sample", queue=queue)
+    for subscriber in (late, later, anybody):
+        received = subscriber.receive(timeout=10.0)
+        assert received is not None and received.sequence == 6
+    assert publisher.publish(sample(6)) == 7
+    for subscriber in (late, later, anybody):
+        received = subscriber.receive(timeout=10.0)
+        assert received is not None and received.sequence == 7
+        assert subscriber.receive(timeout=0.1) is None
+        assert (subscriber.drops, subscriber.rejected) == (0, 0)
+    publisher.close()
+    assert net.node("too_late").subscriber("lab/sample", Sample).receive(timeout=0.3) is None
+
+
+def test_latched_messages_are_neither_doubled_nor_disordered_by_coming_and_going(net: BifrostNetwork) -> None:
+    """Subscribers join while a latched publisher is at full speed; each sees a rising sequence without a hole."""
+    peer = net.peer("latch", "lab/sample", "500")
+    node = net.node("test")
+    for _ in range(20):
+        subscriber = node.subscriber("lab/sample", Sample, queue=1000)
+        received = [subscriber.receive(timeout=10.0) for _ in range(20)]
+        sequences = [one.sequence for one in received if one]
+        assert sequences == list(range(sequences[0], sequences[0] + 20))
+        assert (subscriber.drops, subscriber.rejected) == (0, 0)
+        subscriber.close()
+    # A connection that breaks and is made again brings nothing twice.
+    subscriber = node.subscriber("lab/sample", Sample, queue=1000)
+    first = subscriber.receive(timeout=10.0)
+    assert first is not None
+    peer.signal(signal.SIGSTOP)
+    while subscriber.receive(timeout=0.5):
+        pass
+    [connection] = [c for c in psutil.Process().net_connections("tcp") if c.raddr and c.raddr.port in listening(peer)]
+    cut(connection.laddr.port, connection.raddr.port)
+    peer.signal(signal.SIGCONT)
+    last = first.sequence
+    for _ in range(200):
+        received_one = subscriber.receive(timeout=10.0)
+        assert received_one is not None and received_one.sequence > last
+        last = received_one.sequence
+    assert subscriber.rejected == 0
+
+
+def listening(peer: Peer) -> set[int]:
+    """The TCP ports that a process listens on."""
+    return {c.laddr.port for c in psutil.Process(peer.pid).net_connections("tcp") if c.status == psutil.CONN_LISTEN}
+
+
+def cut(local: int, remote: int) -> None:
+    """End a TCP connection of this process from below, as a broken network would."""
+    for name in os.listdir("/proc/self/fd"):
+        try:
+            duplicate = sockets.socket(fileno=os.dup(int(name)))
+        except OSError:
+            continue
+        with duplicate:
+            try:
+                ends = duplicate.getsockname()[1], duplicate.getpeername()[1]
+            except (OSError, IndexError):
+                continue
+            if ends == (local, remote):
+                duplicate.shutdown(sockets.SHUT_RDWR)
+
+
+@pytest.mark.parametrize(("drop", "kept"), [("oldest", list(range(190, 200))), ("newest", list(range(10)))])
+def test_a_full_queue_drops_what_it_was_told_to(net: BifrostNetwork, drop: Any, kept: list[int]) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=10, drop=drop)
+    witness = net.node("witness").subscriber("lab/sample", Sample, queue=10_000)
+    start = connected(publisher, subscriber, witness)
+    for count in range(200):
+        publisher.publish(sample(count))
+    while (received := witness.receive(timeout=5.0)) and received.sequence < start + 200:
+        pass
+    if drop == "oldest":
+        until(lambda: subscriber.drops == 190, "what the queue cannot hold is dropped")
+        assert bifrost.wait([subscriber], timeout=5.0) == [subscriber]
+    messages = subscriber.drain()
+    counts = [received.message.count for received in messages]
+    assert counts[: len(kept)] == kept  # the network's buffers hold more than a queue that drops the newest
+    assert subscriber.drops == (190 if drop == "oldest" else 0)
+    assert subscriber.receive(timeout=0.0) is None
+    with selectors.DefaultSelector() as selector:
+        selector.register(subscriber.fileno(), selectors.EVENT_READ)
+        subscriber.drain()
+        publisher.publish(sample(7))
+        assert selector.select(timeout=5.0)
+    last = subscriber.receive(timeout=5.0)
+    assert last is not None and last.message.count == 7
+    subscriber.close()
+
+
 def test_a_stopped_subscriber_does_not_delay_the_publisher(net: BifrostNetwork) -> None:
     peer = net.peer("subscribe", "lab/sample", "100")
     publisher = net.node("publisher").publisher("lab/sample", Sample)
@@ -312,6 +419,10 @@ def test_wrong_use_is_told_at_once(net: BifrostNetwork) -> None:
             node.subscriber(name, Sample)
     with pytest.raises(ValueError, match="at least 1"):
         node.subscriber("lab/sample", Sample, queue=0)
+    with pytest.raises(ValueError, match="drop: expected newest or oldest"):
+        node.subscriber("lab/sample", Sample, queue=1, drop="all")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="drop: expected a queue"):
+        node.subscriber("lab/sample", Sample, drop="oldest")
     assert publisher.publish(sample(1)) == 1  # nothing was sent above
     publisher.close()
     with pytest.raises(bifrost.Error, match="closed"):
@@ -327,9 +438,45 @@ class Rogue:
         self.socket.bind("tcp://127.0.0.1:*")
         codec = bifrost.codec(Sample)
         endpoint = self.socket.getsockopt_string(zmq.LAST_ENDPOINT)
-        self.key = self.node.discovery.announce(
+        self.node.discovery.announce(
             Entry("publisher", "lab/sample", ("Sample",), (codec.hash.hex(),), endpoint), [codec.schema]
         )
+        self._sequence = 0
+
+    def header(
+        self,
+        sequence: int | None = None,
+        stamp: int | None = None,
+        incarnation: int = 7,
+        schema: bytes = bifrost.codec(Sample).hash,
+        length: int = 0,
+    ) -> bytes:
+        """Topic and envelope, right unless told otherwise; the origin follows, and the payload."""
+        if sequence is None:
+            self._sequence += 1
+            sequence = self._sequence
+        now = time.monotonic_ns() if stamp is None else stamp
+        return b"lab/sample\0" + wire.PUBLICATION.pack(wire.VERSION, schema, incarnation, sequence, now, length)
+
+    def send(self, frame: bytes) -> None:
+        """To all that subscribe."""
+        self.socket.send(frame)
+
+    def say(self, count: int, **envelope: int) -> None:
+        """A message."""
+        self.send(self.header(**envelope) + bifrost.codec(Sample).encode(sample(count)))  # type: ignore[arg-type]
+
+    def heard_by(self, subscriber: bifrost.Subscriber[Sample]) -> None:
+        """Speak until the subscriber hears it."""
+
+        def arrived() -> bool:
+            self.say(1)
+            return subscriber.receive(timeout=0.05) is not None
+
+        until(arrived, "the subscriber hears the rogue")
+        self.say(2)
+        while (one := subscriber.receive(timeout=5.0)) and one.message.count != 2:
+            pass
 
 
 @pytest.fixture
@@ -342,15 +489,14 @@ def rogue(net: BifrostNetwork) -> Iterator[Rogue]:
 def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwork, rogue: Rogue) -> None:
     subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
     codec = bifrost.codec(Sample)
-    header = wire.PUBLICATION.pack(wire.VERSION, codec.hash, 7, 1, 2, 5) + b"rogue"
     payload = codec.encode(sample(5))
-    intact = b"lab/sample\0" + header + payload
-    good = b"lab/sample\0" + header + codec.encode(sample(3))
+    topic = b"lab/sample\0"
+    rogue.heard_by(subscriber)
 
     def sent_and_received(frame: bytes) -> list[bifrost.Received[Sample]]:
         """What the subscriber makes of a frame, and of a good one behind it."""
-        rogue.socket.send(frame)
-        rogue.socket.send(good)
+        rogue.send(frame)
+        rogue.say(3, incarnation=8)
         received = []
         while not received or received[-1].message != sample(3):
             one = subscriber.receive(timeout=5.0)
@@ -358,32 +504,26 @@ def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwo
             received.append(one)
         return received[:-1]
 
-    def arrived() -> bool:
-        rogue.socket.send(good)
-        return subscriber.receive(timeout=0.05) is not None
-
-    until(arrived, "the subscriber hears the rogue")
-    rogue.socket.send(b"lab/sample\0" + header + codec.encode(sample(4)))
-    while (one := subscriber.receive(timeout=5.0)) and one.message != sample(4):
-        pass
-
     @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
     @given(data=st.data())
     def attack(data: st.DataObject) -> None:
         kind = data.draw(st.sampled_from(["noise", "cut", "flip", "payload", "header"]))
+        # Each of an incarnation of its own: a flipped bit may make a sequence behind which no other comes.
+        header = rogue.header(incarnation=data.draw(st.integers(10, 2**64 - 1)), length=5) + b"rogue"
+        intact = header + payload
         if kind == "noise":
-            frame = b"lab/sample\0" + data.draw(st.binary(min_size=1, max_size=200))
+            frame = topic + data.draw(st.binary(min_size=1, max_size=200))
         elif kind == "cut":
-            frame = intact[: data.draw(st.integers(len(b"lab/sample\0") + 1, len(intact) - 1))]
+            frame = intact[: data.draw(st.integers(len(topic) + 1, len(intact) - 1))]
         elif kind == "flip":
-            position = data.draw(st.integers(len(b"lab/sample\0"), len(intact) - 1))
+            position = data.draw(st.integers(len(topic), len(intact) - 1))
             frame = (
                 intact[:position] + bytes([intact[position] ^ data.draw(st.integers(1, 255))]) + intact[position + 1 :]
             )
         elif kind == "payload":
-            frame = b"lab/sample\0" + header + data.draw(st.binary(max_size=300))
+            frame = header + data.draw(st.binary(max_size=300))
         else:
-            frame = b"lab/sample\0" + data.draw(st.binary(min_size=34, max_size=34)) + b"rogue" + payload
+            frame = topic + data.draw(st.binary(min_size=34, max_size=34)) + b"rogue" + payload
         refused = subscriber.rejected
         others = sent_and_received(frame)
         assert len(others) + subscriber.rejected - refused == 1
@@ -395,21 +535,61 @@ def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwo
     assert subscriber.rejected > 0
 
 
+def test_well_framed_nonsense_is_refused_and_counted(net: BifrostNetwork, rogue: Rogue) -> None:
+    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
+    rogue.heard_by(subscriber)
+    codec = bifrost.codec(Sample)
+    payload = codec.encode(sample(5))
+    fields = msgspec.msgpack.decode(payload)
+    now = time.monotonic_ns()
+    rogue.say(1, incarnation=20, sequence=10, stamp=now)
+    received = subscriber.receive(timeout=5.0)
+    assert received is not None and received.sequence == 10
+    refused = subscriber.rejected
+    nonsense = {
+        "sequence of nought": rogue.header(sequence=0, incarnation=21) + payload,
+        "sequence again": rogue.header(sequence=10, incarnation=20) + payload,
+        "sequence backwards": rogue.header(sequence=9, incarnation=20) + payload,
+        "stamp backwards": rogue.header(sequence=11, incarnation=20, stamp=now - 1) + payload,
+        "stamp of the future": rogue.header(incarnation=22, stamp=now + 10**12) + payload,
+        "another schema": rogue.header(schema=b"12345678") + payload,
+        "origin longer than the message": rogue.header(length=255) + payload,
+        "origin that is no text": rogue.header(length=2) + b"\xff\xff" + payload,
+        "no payload": rogue.header(),
+        "10 MB": rogue.header() + bytes(10_000_000),
+        "deep nesting": rogue.header() + b"\x91" * 100_000,
+        "a length that lies": rogue.header() + b"\xdd\xff\xff\xff\xff",
+        "bytes of a length that lies": rogue.header() + b"\x94\x01\xa0\xc6\xff\xff\xff\xff\xc4\x00",
+        "a map": rogue.header() + msgspec.msgpack.encode({"count": 1}),
+        "keys twice": rogue.header() + b"\x82\xa1a\x01\xa1a\x02",
+        "a field too few": rogue.header() + msgspec.msgpack.encode(fields[:-1]),
+        "a field too many": rogue.header() + msgspec.msgpack.encode([*fields, 1]),
+        "a number for text": rogue.header() + msgspec.msgpack.encode([1, 2, *fields[2:]]),
+    }
+    for frame in nonsense.values():
+        rogue.send(frame)
+    for parts in ([b""], [b"lab/sample"], [b"lab/sample\0"] * 40, [b"lab/sample\0" + bytes(5)] * 40):
+        rogue.socket.send_multipart(parts)
+    rogue.say(4)
+    counts = []
+    while not counts or counts[-1] != 4:
+        received = subscriber.receive(timeout=5.0)
+        assert received is not None
+        counts.append(received.message.count)
+    assert counts == [4]
+    assert subscriber.rejected - refused >= len(nonsense)
+
+
 def test_an_array_cut_short_is_refused(net: BifrostNetwork, rogue: Rogue) -> None:
     subscriber = net.node("test").subscriber("lab/sample", Sample, queue=10)
-    codec = bifrost.codec(Sample)
-    header = b"lab/sample\0" + wire.PUBLICATION.pack(wire.VERSION, codec.hash, 7, 1, 2, 0)
-
-    def refused() -> bool:
-        rogue.socket.send(header + bytes([0x94, 1, 0xA0, 0xC4, 7]) + bytes(7) + bytes([0xC4, 0]))
-        assert subscriber.receive(timeout=0.05) is None
-        return subscriber.rejected > 2
-
-    until(refused, "an array of seven bytes is refused")
-    rogue.socket.send(header + bytes([0x94, 1, 0xA0, 0xC4, 8]) + bytes(8) + bytes([0xC4, 0]))
+    rogue.heard_by(subscriber)
+    refused = subscriber.rejected
+    rogue.send(rogue.header() + bytes([0x94, 1, 0xA0, 0xC4, 7]) + bytes(7) + bytes([0xC4, 0]))
+    rogue.send(rogue.header() + bytes([0x94, 1, 0xA0, 0xC4, 8]) + bytes(8) + bytes([0xC4, 0]))
     received = subscriber.receive(timeout=5.0)
     assert received is not None and received.message.values.tolist() == [0.0]
     assert received.origin == ""
+    assert subscriber.rejected == refused + 1
 
 
 def test_any_type_is_decoded_by_its_registered_schema(net: BifrostNetwork) -> None:
