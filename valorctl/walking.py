@@ -1,4 +1,4 @@
-"""Walking at a velocity for a while, and how well it went."""
+"""Walking at a velocity for a while or for a distance, and how well it went."""
 
 from __future__ import annotations
 
@@ -15,13 +15,56 @@ from valor_common.instance import Instance
 from valor_common.messages import MotionState, VelocityCommand
 from valor_common.topics import MOTION_STATE, VELOCITY
 from valorctl import control_mode
+from valorctl.steering import Line
 
 MODES = ("walk", "walk_manipulate")
-PERIOD = 0.05  # between commands [s]
+PERIOD = 0.02  # between commands; robot time may pass faster than the wall's [s]
 REST_SPEED = 0.02  # of a pelvis at rest [m/s]
 REST_DURATION = 0.5  # for which it must be [robot time, s]
 LONGEST_STOP = 20.0  # [robot time, s]
 SILENCE = 5.0  # of the Motion Manager, after which it is given up [s]
+_SLOWEST = 0.3  # of the speed asked for: a distance must be done by then
+_TO_BEGIN = 10.0  # and so long more [robot time, s]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to walk. One of ``seconds`` and ``distance`` may be left out."""
+
+    forward: float = 0.0  # [m/s]
+    left: float = 0.0  # [m/s]
+    turn: float = 0.0  # [rad/s]
+    seconds: float | None = None  # at most [robot time, s]
+    distance: float | None = None  # to go, after which the robot is told to stop [m]
+    straight: bool = False  # keep heading and line, as the robot estimates them
+
+    def __post_init__(self) -> None:
+        given = {"--for": self.seconds, "--distance": self.distance}
+        for name, value in {"--vx": self.forward, "--vy": self.left, "--wz": self.turn, **given}.items():
+            if value is not None and not math.isfinite(value):
+                raise ValorError(f"{name} {value}: expected a finite number")
+        for name, value in given.items():
+            if value is not None and value <= 0.0:
+                raise ValorError(f"{name} {value:g}: expected more than 0")
+        if self.seconds is None and self.distance is None:
+            raise ValorError("how long to walk: expected --for or --distance")
+        if self.distance is not None and not self.speed:
+            raise ValorError(f"--distance {self.distance:g}: expected --vx or --vy other than 0")
+        if self.straight and self.turn:
+            raise ValorError(f"--straight keeps the heading: expected no --wz, not {self.turn:g}")
+
+    @property
+    def speed(self) -> float:
+        """[m/s]."""
+        return math.hypot(self.forward, self.left)
+
+    @property
+    def longest(self) -> float:
+        """After which the robot is told to stop, wherever it is [robot time, s]."""
+        if self.seconds is not None:
+            return self.seconds
+        assert self.distance is not None
+        return self.distance / (_SLOWEST * self.speed) + _TO_BEGIN
 
 
 @dataclass(frozen=True)
@@ -29,6 +72,8 @@ class Walk:
     """What became of a walk, as the robot itself believes."""
 
     distance: float  # of the pelvis, from where it began to where it came to rest [m]
+    offset: float  # of that, to the left of the line along the velocity asked for [m]
+    turned: float  # heading at the end against that at the beginning [rad]
     duration: float  # until rest [robot time, s]
     fell: bool
     reason: str  # of leaving Walk, if it did
@@ -39,26 +84,29 @@ class Walk:
         return f"{self.distance:.2f} m in {self.duration:.1f} s, mean DCM error {self.dcm_error * 1e3:.1f} mm"
 
 
-def walk(instance: Instance, velocity: tuple[float, float, float], seconds: float, check: Callable[[], None]) -> Walk:
+def walk(
+    instance: Instance,
+    order: Order,
+    check: Callable[[], None],
+    tell: Callable[[float, float], None] = lambda passed, way: None,
+) -> Walk:
     """Go to mode ``walk``, walk, stop, and go back to the mode before.
 
     Args:
         instance: a running system.
-        velocity: forward, left [m/s], turning [rad/s].
-        seconds: of robot time.
+        order: what to walk.
         check: raises when the user wants to stop; the robot then stops by itself.
+        tell: is told of progress: robot time [s] and way [m].
 
     Raises:
-        ValorError: not finite, mode refused, or nobody answers.
+        ValorError: mode refused, or nobody answers.
     """
-    if not all(map(math.isfinite, (*velocity, seconds))):
-        raise ValorError(f"velocity {velocity} for {seconds} s: expected finite numbers")
     before = control_mode.report(instance).current_control_mode
     if before not in MODES:
         _change(instance, "walk", check)
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
-        result = _walk(node, velocity, seconds, check)
+        result = _walk(node, order, check, tell)
     if before not in MODES and not result.reason:
         _change(instance, before, check)
     return result
@@ -70,39 +118,82 @@ def _change(instance: Instance, mode: str, check: Callable[[], None]) -> None:
         raise ValorError(change.describe())
 
 
-def _walk(node: bifrost.Node, velocity: tuple[float, float, float], seconds: float, check: Callable[[], None]) -> Walk:
+def _walk(node: bifrost.Node, order: Order, check: Callable[[], None], tell: Callable[[float, float], None]) -> Walk:
     states = node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
     commands = node.publisher(VELOCITY.name, VelocityCommand)
-    x, y, turn = velocity
-    began: MotionState | None = None
-    errors: list[float] = []
-    moving, heard = 0, time.monotonic()  # robot time at which the pelvis moved last
-    while True:
+    run: _Run | None = None
+    heard = time.monotonic()
+    while run is None or not run.over:
         check()
-        received = [each.message for each in states.drain()]
-        if not received:
-            if time.monotonic() - heard > SILENCE:
-                raise ValorError(f"{MOTION_STATE.name} is silent for {SILENCE:g} s: see `valorctl status`")
-            time.sleep(0.5 * PERIOD)
-            continue
-        heard, state = time.monotonic(), received[-1]
-        began = began or received[0]
-        for each in received:
-            errors.append(float(np.linalg.norm(each.dcm_in_odom - each.dcm_reference_in_odom)))
-            if np.linalg.norm(each.pelvis_linear_velocity_in_odom) > REST_SPEED:
-                moving = each.time
-        passed = 1e-9 * (state.time - began.time)
-        walking = state.behavior in MODES
-        rested = passed > seconds + 1.0 and 1e-9 * (state.time - moving) > REST_DURATION
-        if not walking or rested or passed > seconds + LONGEST_STOP:
-            way = state.pelvis_position_in_odom - began.pelvis_position_in_odom
-            return Walk(
-                distance=float(np.hypot(way[0], way[1])),
-                duration=passed,
-                fell=state.behavior == "fall",
-                reason="" if walking else f"{state.behavior}: {state.reason}",
-                dcm_error=float(np.mean(errors)),
-            )
-        if passed < seconds:
-            commands.publish(VelocityCommand(time=state.time, linear_x=x, linear_y=y, angular_z=turn))
+        received = states.drain()
+        if received:
+            heard = time.monotonic()
+            run = run or _Run(order, received[0].message)
+            for each in received:
+                run.consider(each.message)
+            if run.asking:
+                commands.publish(run.command())
+            tell(run.passed, run.way)
+        elif time.monotonic() - heard > SILENCE:
+            raise ValorError(f"{MOTION_STATE.name} is silent for {SILENCE:g} s: see `valorctl status`")
         time.sleep(PERIOD)
+    return run.result()
+
+
+class _Run:
+    """One walk while it lasts.
+
+    Attributes:
+        asking: the robot is still asked to walk.
+        over: it has come to rest, was given too long, or is in no behavior that walks.
+        passed: since the beginning [robot time, s].
+        way: along the line [m].
+    """
+
+    def __init__(self, order: Order, began: MotionState) -> None:
+        self._order = order
+        self._began = self._state = began
+        self._line = Line(began, order.forward, order.left)
+        self._errors: list[float] = []
+        self._moved = began.time  # when the pelvis moved last
+        self._stopped = 0.0  # when it was no more asked to walk
+        self.asking, self.over = True, False
+        self.passed = self.way = 0.0
+
+    def consider(self, state: MotionState) -> None:
+        """Take the robot's next state in."""
+        if self.over:
+            return
+        self._state = state
+        self._errors.append(float(np.linalg.norm(state.dcm_in_odom - state.dcm_reference_in_odom)))
+        if np.linalg.norm(state.pelvis_linear_velocity_in_odom) > REST_SPEED:
+            self._moved = state.time
+        self.passed = 1e-9 * (state.time - self._began.time)
+        self.way = self._line.place(state)[0]
+        distance, longest = self._order.distance, self._order.longest
+        if self.asking and (self.passed >= longest or (distance is not None and self.way >= distance)):
+            self.asking, self._stopped = False, self.passed
+        since = self.passed - self._stopped
+        rested = since > 1.0 and 1e-9 * (state.time - self._moved) > REST_DURATION
+        self.over = state.behavior not in MODES or (not self.asking and (rested or since > LONGEST_STOP))
+
+    def command(self) -> VelocityCommand:
+        """What to ask for now."""
+        order, state = self._order, self._state
+        straight = self._line.steer(state) if order.straight else (order.forward, order.left, order.turn)
+        x, y, turn = straight
+        return VelocityCommand(time=state.time, linear_x=x, linear_y=y, angular_z=turn)
+
+    def result(self) -> Walk:
+        """What became of it."""
+        state, began = self._state, self._began
+        way = state.pelvis_position_in_odom - began.pelvis_position_in_odom
+        return Walk(
+            distance=float(np.hypot(way[0], way[1])),
+            offset=self._line.place(state)[1],
+            turned=self._line.turned(state),
+            duration=self.passed,
+            fell=state.behavior == "fall",
+            reason="" if state.behavior in MODES else f"{state.behavior}: {state.reason}",
+            dcm_error=float(np.mean(self._errors)),
+        )

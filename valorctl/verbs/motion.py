@@ -8,9 +8,10 @@ import typer
 
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valorctl.console import say, say_json
+from valorctl.console import progress, say, say_json
 from valorctl.interruption import Interruption
 
+DEFAULT_SECONDS = 5.0  # of a walk
 _NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
 
 
@@ -103,23 +104,40 @@ def arm(
 
 
 def walk(
+    *,
     vx: Annotated[float, typer.Option("--vx", help="Forward [m/s].")] = 0.0,
     vy: Annotated[float, typer.Option("--vy", help="To the left [m/s].")] = 0.0,
     wz: Annotated[float, typer.Option("--wz", help="Turning to the left [rad/s].")] = 0.0,
-    seconds: Annotated[float, typer.Option("--for", min=0.1, help="Of robot time [s].")] = 5.0,
+    seconds: Annotated[
+        float | None, typer.Option("--for", help="At most so long [robot time, s]; 5 unless a distance is given.")
+    ] = None,
+    distance: Annotated[float | None, typer.Option("--distance", help="Until it has gone so far [m].")] = None,
+    straight: Annotated[
+        bool, typer.Option("--straight", help="Keep to the line and the heading it starts with.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Walk at a velocity, stop, and say how far it went."""
     from valorctl import status, walking
 
+    if seconds is None and distance is None:
+        seconds = DEFAULT_SECONDS
+    order = walking.Order(vx, vy, wz, seconds, distance, straight)
     instance = Instance.from_environment()
     status.require_up(instance)
-    with Interruption() as interruption:
-        result = walking.walk(instance, (vx, vy, wz), seconds, interruption.check)
+    with progress() as shown, Interruption() as interruption:
+        result = walking.walk(
+            instance,
+            order,
+            interruption.check,
+            lambda passed, way: shown.waiting(f"{passed:.0f} s, {way:.1f} m"),
+        )
     if json:
         say_json(
             {
                 "distance_m": result.distance,
+                "offset_m": result.offset,
+                "turned_rad": result.turned,
                 "duration_s": result.duration,
                 "fell": result.fell,
                 "reason": result.reason or None,

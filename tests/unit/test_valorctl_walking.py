@@ -1,0 +1,60 @@
+"""What `walk` asks for: refused before anything moves if it makes no sense; and back to the line if it is straight."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.motion_states import motion_state
+from valor_common.errors import ValorError
+from valorctl.steering import SIDEWAYS, TURNING, Line
+from valorctl.walking import Order
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        ({"forward": math.nan, "seconds": 1.0}, "--vx nan: expected a finite number"),
+        ({"forward": 0.1, "distance": math.inf}, "--distance inf: expected a finite number"),
+        ({"forward": 0.1, "seconds": 0.0}, "--for 0: expected more than 0"),
+        ({"turn": 0.1, "distance": 1.0}, "--distance 1: expected --vx or --vy"),
+        ({"forward": 0.1, "turn": 0.1, "seconds": 1.0, "straight": True}, "--straight keeps the heading"),
+        ({"forward": 0.1}, "--for or --distance"),
+    ],
+)
+def test_orders_that_make_no_sense_are_refused(order: dict[str, float], words: str) -> None:
+    with pytest.raises(ValorError, match=words):
+        Order(**order)
+
+
+@given(
+    heading=st.floats(-3.0, 3.0), forward=st.floats(-0.3, 0.5), left=st.floats(-0.2, 0.2),
+    offset=st.floats(-1.0, 1.0), off=st.floats(-0.5, 0.5),
+)  # fmt: skip
+def test_a_robot_beside_its_line_is_led_back_to_it(
+    heading: float, forward: float, left: float, offset: float, off: float
+) -> None:
+    """A point that obeys at once ends on the line with its first heading, and never faster than asked for sideways."""
+    if math.hypot(forward, left) < 0.05:
+        return
+    line = Line(motion_state(position=(1.0, 2.0), heading=heading), forward, left)
+    direction = heading + math.atan2(left, forward)
+    along = np.array([math.cos(direction), math.sin(direction)])
+    normal = np.array([-along[1], along[0]])
+    place, psi = np.array([1.0, 2.0]) + offset * normal, heading + off
+    for _ in range(600):
+        state = motion_state(position=(place[0], place[1]), heading=psi)
+        x, y, turn = line.steer(state)
+        velocity = np.array([x * math.cos(psi) - y * math.sin(psi), x * math.sin(psi) + y * math.cos(psi)])
+        assert velocity @ along == pytest.approx(math.hypot(forward, left))
+        assert abs(velocity @ normal) <= SIDEWAYS + 1e-9
+        assert abs(turn) <= TURNING
+        place, psi = place + 0.1 * velocity, psi + 0.1 * turn
+    way, beside = line.place(motion_state(position=(place[0], place[1]), heading=psi))
+    assert abs(beside) < 0.01
+    assert abs(line.turned(motion_state(position=(place[0], place[1]), heading=psi))) < 0.01
+    assert way == pytest.approx(60.0 * math.hypot(forward, left), rel=1e-3)
