@@ -14,6 +14,9 @@ from valor_common.messages import MotionState, Proprioceptor
 from valor_common.robot import RobotDescription
 from valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
 
+PELVIS = "pelvis"
+"""Stands for the pelvis' six among the groups of joints."""
+PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 LONGEST_STEP = 0.02
 """A set-point never moves farther at once than its joint may in this time [s], however late the cycle is."""
 
@@ -23,14 +26,17 @@ class JointClaimError(ValueError):
 
 
 class ValorEscherHWInterface:
-    """State and commands of all n joints, in the order of ``RobotDescription.joints``.
+    """State and commands of n joints: the robot's, in the order of ``RobotDescription.joints``, then the pelvis' six.
+
+    The pelvis is led as if x, y, z, roll, pitch and yaw were joints, in the frame of ``PelvisSetpoint`` [m, rad].
 
     Attributes:
         names: (n,) of the joints.
+        pelvis: place of the pelvis' first.
         time: robot time of the newest measurement [ns]; 0 before the first.
         measured: the newest Proprioceptor.
         motion: the newest MotionState.
-        position, velocity: (n,) measured [rad], [rad/s].
+        position, velocity: (n,) measured [rad], [rad/s]; of the pelvis, estimated.
         commanded: (n,) by the Motion System now [rad].
         command_position, command_velocity, command_acceleration: (n,) written by the claimants.
         command_offset: (n,) what robot-level controllers add to the position in this cycle [rad].
@@ -40,10 +46,17 @@ class ValorEscherHWInterface:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
-        self.names: tuple[str, ...] = tuple(robot.joints)
+        self.names: tuple[str, ...] = (*robot.joints, *PELVIS_NAMES)
+        self.pelvis = len(robot.joints)
         n = len(self.names)
-        self._units = ("rad",) * n
-        self._lower, self._upper, self._speed = robot.lower, robot.upper, robot.velocity_limit
+        self._units = ("rad",) * self.pelvis + ("m",) * 3 + ("rad",) * 3
+        table, height = robot.tables.pelvis, robot.tables.nominal_base_height
+        shift, turn = table.max_shift, (table.max_roll, table.max_pitch, table.max_yaw)
+        lower = (-shift, -shift, height - table.max_down, *(-angle for angle in turn))
+        self._lower: Vector = np.concatenate((robot.lower, lower))
+        self._upper: Vector = np.concatenate((robot.upper, (shift, shift, height + table.max_up, *turn)))
+        speeds = np.repeat((table.max_speed, table.max_turn_rate), 3)
+        self._speed: Vector = np.concatenate((robot.velocity_limit, speeds))
         self.time = 0
         self.measured: Proprioceptor | None = None
         self.motion: MotionState | None = None
@@ -68,12 +81,9 @@ class ValorEscherHWInterface:
     # --- what there is --------------------------------------------------------------------------------------------
 
     def group_indices(self, groups: Sequence[str]) -> Indices:
-        """Places of the joints of groups, in the groups' order.
-
-        Raises:
-            ConfigurationError: a group does not exist.
-        """
-        return np.concatenate([self.robot.group_indices(group) for group in groups])
+        """Places of the joints of groups of robot.yaml, or of the pelvis, in the groups' order."""
+        six = np.arange(self.pelvis, self.pelvis + 6)
+        return np.concatenate([six if group == PELVIS else self.robot.group_indices(group) for group in groups])
 
     def limits(self, joints: Indices) -> JointLimits:
         """Names and limits of some joints, in their order."""
@@ -151,7 +161,7 @@ class ValorEscherHWInterface:
         is not finite leaves the joint where it was.
 
         Returns:
-            (m,) position [rad], velocity [rad/s], acceleration [rad/s²] of the joints ``written``.
+            (m,) position [rad or m], velocity [1/s], acceleration [1/s²] of the joints ``written``.
         """
         indices, base, fastest = self._indices, self._base, self._fastest
         wanted = self.command_position[indices] + self.command_offset[indices]

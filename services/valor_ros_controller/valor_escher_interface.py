@@ -21,6 +21,7 @@ from valor_common.messages import (
     ControlModeReport,
     JointSetpoints,
     MotionState,
+    PelvisSetpoint,
     Proprioceptor,
     StepStatus,
 )
@@ -34,6 +35,8 @@ _log = logging.getLogger("valor_escher_interface")
 
 ANSWER_TIMEOUT = 2.0
 """How long the Motion Manager may take to answer a behavior command [s]."""
+PELVIS_SMOOTHING = 0.04
+"""Time constant of the pelvis' velocity, which is taken from its estimated places [s]."""
 REPORT_PERIOD = 0.1
 """The control mode is reported on Bifrost on change and this often [s]."""
 
@@ -113,6 +116,7 @@ class ValorEscherInterface:
         self._motion_state = node.subscriber(topics.MOTION_STATE.name, MotionState)
         self._step_status = node.subscriber(topics.STEP_STATUS.name, StepStatus)
         self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
+        self._pelvis = node.publisher(topics.PELVIS.name, PelvisSetpoint)
         self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport)
         self._commander = BehaviorCommander(node)
         self._commander.start()
@@ -122,6 +126,7 @@ class ValorEscherInterface:
         self._newest_sequence = 0
         self._heard_proprioceptor = self._heard_motion = -np.inf
         self._written: Indices | None = None
+        self._split = 0  # so many of the joints written are the robot's; the others are the pelvis'
         self._names: list[str] = []
         self._reported: ModeReport | None = None
         self._reported_at = -np.inf
@@ -177,7 +182,8 @@ class ValorEscherInterface:
             return False
         self._last_sequence = measured.sequence
         hw = self._hw
-        hw.time, hw.measured, hw.position, hw.velocity = measured.time, measured, position, velocity
+        hw.time, hw.measured = measured.time, measured
+        hw.position[: self._n], hw.velocity[: self._n] = position, velocity
         return True
 
     def _reject(self, text: str) -> None:
@@ -190,13 +196,19 @@ class ValorEscherInterface:
         received = self._motion_state.latest()
         if received is not None:
             motion = received.message
-            if len(motion.joint_setpoint) == self._n and np.isfinite(motion.joint_setpoint.sum()):
+            pelvis = (motion.pelvis_setpoint, motion.pelvis_in_support)
+            numbers = motion.joint_setpoint.sum() + sum(vector.sum() for vector in pelvis)
+            if (
+                len(motion.joint_setpoint) == self._n
+                and all(len(vector) == 6 for vector in pelvis)
+                and np.isfinite(numbers)
+            ):
                 self._heard_motion = now
-                self._hw.motion = motion
-                self._hw.commanded = motion.joint_setpoint
-                self.behavior, self.behavior_reason = motion.behavior, motion.reason
+                self._take_motion(motion)
             else:
-                self._reject(f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers")
+                self._reject(
+                    f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers, or a pelvis' not 6"
+                )
         self.silent = self._who_is_silent(now)
         if (steps := self._step_status.latest()) is not None:
             self.step_status = steps.message
@@ -208,6 +220,18 @@ class ValorEscherInterface:
             command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
             if command:
                 self._commander.ask(*command)
+
+    def _take_motion(self, motion: MotionState) -> None:
+        """Store what the Motion System does."""
+        hw, n = self._hw, self._n
+        seconds = (motion.time - hw.motion.time) * 1e-9 if hw.motion else 0.0
+        hw.motion = motion
+        hw.commanded[:n], hw.commanded[n:] = motion.joint_setpoint, motion.pelvis_setpoint
+        place, velocity = hw.position[n:], hw.velocity[n:]
+        if seconds > 0.0:
+            velocity += (motion.pelvis_in_support - place - seconds * velocity) / max(seconds, PELVIS_SMOOTHING)
+        place[:] = motion.pelvis_in_support
+        self.behavior, self.behavior_reason = motion.behavior, motion.reason
 
     def _who_is_silent(self, now: float) -> str:
         """The process that stopped; the other one may have nothing to say without it."""
@@ -233,11 +257,16 @@ class ValorEscherInterface:
         hw = self._hw
         if hw.written is not self._written:
             self._written = hw.written
-            self._names = [hw.names[i] for i in hw.written]
-        if not self._names:
+            self._split = int(np.searchsorted(hw.written, self._n))
+            self._names = [hw.names[i] for i in hw.written[: self._split]]
+        if not len(hw.written):
             return
         position, velocity, acceleration = hw.rectify()
-        self._setpoints.publish(JointSetpoints(hw.time, self._names, position, velocity, acceleration))
+        k = self._split
+        if k:
+            self._setpoints.publish(JointSetpoints(hw.time, self._names, position[:k], velocity[:k], acceleration[:k]))
+        if k < len(position):
+            self._pelvis.publish(PelvisSetpoint(hw.time, position[k:], velocity[k:]))
         self.set_points_sent += 1
 
     def report(self, report: ModeReport) -> None:

@@ -40,10 +40,11 @@ from valor_common.topics import (
 )
 
 VRC = "valor_ros_controller"
+PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
 FORWARD = ROBOT.tables.arm_presets["forward"]["right"]
-SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP = 0, -1, -2, -3
+SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED = 0, -1, -2, -4
 ACCEPTED, REJECTED, DUPLICATE, EXTERNAL_CHANGE = 1, 2, 16, 32
 NOT_READY, INVALID_MODE, INVALID_TRANSITION = 512, 1024, 2048
 STATUS_SUCCEEDED, STATUS_CANCELED, STATUS_ABORTED = 4, 5, 6
@@ -341,6 +342,184 @@ def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
     handle = ros._wait(client.send_goal_async(goal), PATIENCE, "an answer to the goal")
     assert handle.accepted
     return handle
+
+
+def ask(ros: RosClient, kind: type, service: str, /, **fields: Any) -> Any:
+    """What a service answers."""
+    client = ros.node.create_client(kind, service)
+    try:
+        assert client.wait_for_service(PATIENCE), f"no service {service}"
+        return ros._wait(ros._call(client.call_async, kind.Request(**fields)), PATIENCE, f"{service} to answer")
+    finally:
+        ros.node.destroy_client(client)
+
+
+def test_a_hand_closes_and_opens(manipulating: RosClient) -> None:
+    closed = {"r_index_yaw": 0.6, "r_ring_yaw": 0.6, "r_thumb_roll": 0.3, "r_thumb_pitch": 0.4}
+    for target in (closed, dict.fromkeys(closed, 0.0)):
+        answer = manipulating.follow("right_hand", [(1.0, target)])
+        assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+        wait_until(lambda t=target: max(errors(manipulating, t).values()) < 0.05, PATIENCE, "the hand")
+
+
+def test_legs_take_no_goals_and_say_so_but_report_their_state(manipulating: RosClient) -> None:
+    from control_msgs.msg import JointTrajectoryControllerState
+
+    answer = manipulating.follow("left_leg", [(1.0, {"l_knee_pitch": 0.5})])
+    assert answer.status == STATUS_ABORTED and answer.result.error_code == INVALID_GOAL
+    assert "left_leg_traj_controller takes no goals: the legs carry the robot" in answer.result.error_string
+    states = Topic(
+        manipulating,
+        JointTrajectoryControllerState,
+        "/trajectory_controllers/left_leg_traj_controller/controller_state",
+    )
+    wait_until(lambda: len(states.messages) > 3, PATIENCE, "the legs' state")
+    state = states.messages[-1]
+    states.close()
+    assert list(state.joint_names) == list(ROBOT.tables.groups["left_leg"])
+    measured = manipulating.joint_positions()
+    assert list(state.feedback.positions) == pytest.approx([measured[name] for name in state.joint_names], abs=0.05)
+    assert np.asarray(state.error.positions) == pytest.approx(
+        np.asarray(state.reference.positions) - np.asarray(state.feedback.positions)
+    )
+
+
+def test_the_pelvis_is_led_in_manipulate_and_nowhere_else(manipulating: RosClient, node: bifrost.Node) -> None:
+    height = ROBOT.tables.nominal_base_height
+    home = dict(zip(PELVIS_NAMES, (0.0, 0.0, height, 0.0, 0.0, 0.0), strict=True))
+    low = home | {"pelvis_z": height - 0.05, "pelvis_yaw": 0.1}
+    answer = manipulating.follow("pelvis", [(3.0, low)])
+    assert answer.result.error_code == INVALID_GOAL and "manipulate" in answer.result.error_string
+    go(manipulating, "manipulate")
+    answer = manipulating.follow("pelvis", [(3.0, low | {"pelvis_z": 2.0})])
+    assert answer.result.error_code == INVALID_GOAL and "pelvis_z at 2 m" in answer.result.error_string
+    answer = manipulating.follow("pelvis", [(3.0, low)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    motion = node.subscriber(MOTION_STATE.name, MotionState)
+    received = motion.receive(PATIENCE)
+    motion.close()
+    assert received is not None
+    assert received.message.pelvis_in_support[2] == pytest.approx(height - 0.05, abs=0.03)
+    assert received.message.pelvis_in_support[5] == pytest.approx(0.1, abs=0.05)
+    answer = manipulating.follow("pelvis", [(3.0, home)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+
+
+def test_the_controller_manager_lists_and_switches_within_the_control_mode(manipulating: RosClient) -> None:
+    from controller_manager_msgs.srv import (
+        ListControllers,
+        ListHardwareComponents,
+        LoadController,
+        SwitchController,
+    )
+
+    def listed() -> dict[str, Any]:
+        answer = ask(manipulating, ListControllers, "/controller_manager/list_controllers")
+        return {controller.name: controller for controller in answer.controller}
+
+    def switch(strictness: int, **names: list[str]) -> Any:
+        return ask(
+            manipulating, SwitchController, "/controller_manager/switch_controller", strictness=strictness, **names
+        )
+
+    strict, best_effort = SwitchController.Request.STRICT, SwitchController.Request.BEST_EFFORT
+    arm = "right_arm_traj_controller"
+    before = listed()
+    assert before[arm].state == "active"
+    assert before[arm].type == "joint_trajectory_controller/JointTrajectoryController"
+    assert "r_elbow_pitch/position" in before[arm].claimed_interfaces
+    assert before["pelvis_traj_controller"].state == "inactive"
+    assert before["control_mode_controller"].state == before["left_leg_traj_controller"].state == "active"
+    (component,) = ask(manipulating, ListHardwareComponents, "/controller_manager/list_hardware_components").component
+    assert component.state.label == "active"
+    claimed = {i.name for i in component.command_interfaces if i.is_claimed}
+    assert "r_elbow_pitch/position" in claimed and "l_knee_pitch/position" not in claimed
+
+    refused = switch(strict, activate_controllers=["pelvis_traj_controller"], deactivate_controllers=[arm])
+    assert not refused.ok and "pelvis_traj_controller" in refused.message, refused
+    assert "stand_manipulate" in refused.message and listed()[arm].state == "active", "strict: all or nothing"
+    assert not switch(strict, deactivate_controllers=["no_controller"]).ok
+    partly = switch(best_effort, activate_controllers=["pelvis_traj_controller", arm])
+    assert partly.ok and "pelvis_traj_controller" in partly.message
+
+    held = manipulating.joint_positions()
+    assert switch(strict, deactivate_controllers=[arm]).ok
+    assert listed()[arm].state == "inactive" and not listed()[arm].claimed_interfaces
+    answer = manipulating.follow("right_arm", [(2.0, HOME)])
+    assert answer.result.error_code == INVALID_GOAL and "not active" in answer.result.error_string
+    assert switch(strict, activate_controllers=[arm]).ok
+    assert listed()[arm].state == "active"
+    assert max(errors(manipulating, {name: held[name] for name in HOME}).values()) < 0.02
+    answer = manipulating.follow("right_arm", [(2.0, HOME)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    assert not ask(manipulating, LoadController, "/controller_manager/load_controller", name=arm).ok
+
+
+def test_parameters_change_at_run_time_and_bad_values_are_refused(manipulating: RosClient) -> None:
+    from rcl_interfaces.srv import DescribeParameters, SetParameters
+    from rclpy.parameter import Parameter
+
+    prefix = "right_arm_traj_controller"
+
+    def change(name: str, value: Any) -> Any:
+        parameter = Parameter(f"{prefix}.{name}", value=value).to_parameter_msg()
+        answer = ask(manipulating, SetParameters, f"/{VRC}/set_parameters", parameters=[parameter])
+        return answer.results[0]
+
+    names = [f"{prefix}.constraints.goal_time"]
+    (described,) = ask(manipulating, DescribeParameters, f"/{VRC}/describe_parameters", names=names).descriptors
+    assert described.description and described.floating_point_range[0].from_value == 0.0
+    for name, value in (
+        ("constraints.goal_time", -1.0),
+        ("constraints.r_elbow_pitch.goal", math.nan),
+        ("action_monitor_rate", 0.0),
+        ("allow_partial_joints_goal", "yes"),
+    ):
+        refused = change(name, value)
+        assert not refused.successful and ("range" in refused.reason or "BOOL" in refused.reason), refused
+    partial = {"r_elbow_pitch": HOME["r_elbow_pitch"] + 0.2}
+    assert manipulating.follow("right_arm", [(1.0, partial)]).result.error_code == INVALID_JOINTS
+    assert change("allow_partial_joints_goal", True).successful
+    try:
+        answer = manipulating.follow("right_arm", [(1.0, partial)])
+        assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+        # A tolerance that nothing meets.
+        assert change("constraints.r_elbow_pitch.trajectory", 1e-9).successful
+        answer = manipulating.follow("right_arm", [(1.0, {"r_elbow_pitch": HOME["r_elbow_pitch"]})])
+        assert answer.result.error_code == PATH_TOLERANCE_VIOLATED, answer.result
+        assert "path tolerance violation: r_elbow_pitch" in answer.result.error_string
+    finally:
+        assert change("constraints.r_elbow_pitch.trajectory", 0.3).successful
+        assert change("allow_partial_joints_goal", False).successful
+
+
+def test_a_trajectory_under_way_is_asked_where_it_will_be(manipulating: RosClient) -> None:
+    from builtin_interfaces.msg import Time
+    from control_msgs.srv import QueryTrajectoryState
+
+    base = "/trajectory_controllers/right_arm_traj_controller"
+    handle = send(manipulating, FORWARD, 4.0)
+    manipulating._wait(handle.cancel_goal_async(), PATIENCE, "the cancellation")  # at rest wherever it is
+    manipulating.follow("right_arm", [(1.5, HOME)])
+    handle = send(manipulating, FORWARD, 3.0)
+    state = manipulating.joint_state
+    assert state is not None
+    soon = stamp(state) + 1_000_000_000
+    answer = ask(
+        manipulating, QueryTrajectoryState, f"{base}/query_state", time=Time(sec=soon // 10**9, nanosec=soon % 10**9)
+    )
+    assert answer.success, answer.message
+    assert list(answer.name) == list(HOME)
+    fraction = [
+        (there - HOME[name]) / (FORWARD[name] - HOME[name])
+        for name, there in zip(answer.name, answer.position, strict=True)
+        if abs(FORWARD[name] - HOME[name]) > 0.1
+    ]
+    assert max(fraction) - min(fraction) < 0.05 and 0.1 < np.mean(fraction) < 0.6, fraction
+    early = ask(manipulating, QueryTrajectoryState, f"{base}/query_state", time=Time(sec=1))
+    assert not early.success and "before the trajectory begins" in early.message
+    manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    manipulating.follow("right_arm", [(2.0, HOME)])
 
 
 def test_a_canceled_goal_holds(manipulating: RosClient) -> None:
