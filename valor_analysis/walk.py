@@ -136,6 +136,7 @@ class Figures:
     qp_failures: int
     tick_median: float  # [s]
     tick_99: float  # [s]
+    ticks: int
 
     @property
     def speed(self) -> float:
@@ -161,6 +162,7 @@ class Figures:
             qp_failures=int(track.qp_failures[-1] - track.qp_failures[0]),
             tick_median=float(np.median(track.tick)),
             tick_99=float(np.percentile(track.tick, 99)),
+            ticks=len(track.tick),
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -67,3 +67,30 @@ def progress() -> Iterator[Progress]:
         yield shown
     finally:
         shown.clear()
+
+
+@contextlib.contextmanager
+def bar(what: str, total: float, unit: str) -> Iterator[Callable[[float], None]]:
+    """A bar that fills up on a terminal; elsewhere a line at every tenth. Gives what to call with how much is done."""
+    if not sys.stdout.isatty():
+        tenth = 0
+
+        def line(done: float) -> None:
+            nonlocal tenth
+            if tenth < int(10.0 * done / total) <= 10:
+                tenth = int(10.0 * done / total)
+                say(f"{what}: {done:.1f} of {total:.1f} {unit}")
+
+        yield line
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn(f"{{task.completed:.1f}} of {{task.total:.1f}} {unit}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=rich_console(), transient=True) as shown:
+        task = shown.add_task(what, total=total)
+        yield lambda done: shown.update(task, completed=max(0.0, min(done, total)))

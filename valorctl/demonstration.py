@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from valor_common.errors import ValorError
-from valor_common.instance import Instance
+from valor_common.instance import Instance, Settings
 from valor_common.resources import example_file
 from valor_common.robot import RobotDescription
 from valorctl import instance_setup, shutdown, startup
@@ -36,35 +38,59 @@ def run(instance: Instance, out: Path, progress: Progress, interruption: Interru
         ValorError: a part of it failed; says which.
     """
     program = example_file(PROGRAM)
-    bag, measurements = out / "demo.mcap", out / "demo.json"
+    bag, measurements = prepare(out, "demo.mcap", "demo.json")
+    failure: ValorError | None = None
+    with running(instance, instance_setup.Request(actuators="hardware", bag=bag), progress, interruption) as settings:
+        try:
+            _run_client(instance, program, measurements, interruption)
+        except InterruptedBySignalError:
+            raise
+        except ValorError as error:
+            failure = error  # the pictures may show why
+    try:
+        made = _draw(bag, RobotDescription.load(settings.robot), out, progress, interruption)
+    except ValorError as error:
+        raise failure or error from None
+    tell([bag, measurements, *made], progress)
+    if failure:
+        raise failure
+
+
+def prepare(out: Path, *names: str) -> list[Path]:
+    """Make the folder for what a demonstration leaves, and remove what an earlier one left under these names.
+
+    Raises:
+        ValorError: the folder cannot be written.
+    """
+    files = [out / name for name in names]
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for stale in (bag, measurements):
+        for stale in files:
             stale.unlink(missing_ok=True)
     except OSError as error:
         raise ValorError(f"{error.filename}: {error.strerror}") from None
-    plan = instance_setup.plan(instance_setup.Request(actuators="hardware", bag=bag))
-    settings = startup.bring_up(instance, plan, progress, interruption)
-    failure: ValorError | None = None
+    return files
+
+
+@contextlib.contextmanager
+def running(
+    instance: Instance, request: instance_setup.Request, progress: Progress, interruption: Interruption
+) -> Iterator[Settings]:
+    """A system that is up inside and down behind, whatever happens."""
+    settings = startup.bring_up(instance, instance_setup.plan(request), progress, interruption)
     try:
-        _run_client(instance, program, measurements, interruption)
-    except InterruptedBySignalError:
-        raise
-    except ValorError as error:
-        failure = error  # the pictures may show why
+        yield settings
     finally:
         progress.waiting("shutting down")
         with instance_setup.changing(instance):
             shutdown.take_down(instance)
         progress.done("everything is shut down")
-    try:
-        files = [bag, measurements, *_draw(bag, RobotDescription.load(settings.robot), out, progress, interruption)]
-    except ValorError as error:
-        raise failure or error from None
+
+
+def tell(files: Iterable[Path], progress: Progress) -> None:
+    """Say which files there are."""
     for file in files:
         progress.done(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
-    if failure:
-        raise failure
 
 
 def _run_client(instance: Instance, program: Path, measurements: Path, interruption: Interruption) -> None:

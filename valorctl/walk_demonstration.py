@@ -1,0 +1,139 @@
+"""``demo walk``: a system of its own on the course of dirt, one walk, one bag, and the walk in figures and pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from valor_common import worlds
+from valor_common.errors import ValorError
+from valor_common.instance import ClockMode, Instance
+from valor_common.robot import RobotDescription
+from valor_common.worlds.dirt import Dirt
+from valorctl import demonstration, walking
+from valorctl.console import Progress, bar, rich_console
+from valorctl.instance_setup import Request
+from valorctl.interruption import InterruptedBySignalError, Interruption
+
+NAME = "demo-walk"
+WORLD = "dirt"
+SPEED = 0.4  # unless another is asked for [m/s]
+
+_BAG, _FIGURES = "walk.mcap", "walk.json"
+
+
+def course() -> float:
+    """From the start to the finish line [m]."""
+    world = worlds.WORLDS[WORLD]
+    assert isinstance(world, Dirt)
+    return world.course
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is to be walked, and how time runs meanwhile."""
+
+    distance: float  # [m]
+    speed: float  # [m/s]
+    seed: int
+    clock: ClockMode
+    real_time_factor: float
+
+
+def run(instance: Instance, wanted: Course, out: Path, progress: Progress, interruption: Interruption) -> None:
+    """Walk, and tell how it went. Nothing goes on running behind it.
+
+    Args:
+        instance: of the demonstration's own.
+        wanted: the course.
+        out: the folder for what it leaves.
+        progress: told how it goes on.
+        interruption: ends it early.
+
+    Raises:
+        ValorError: the robot did not get there, or a part failed; says which.
+    """
+    order = walking.Order(forward=wanted.speed, distance=wanted.distance, straight=True)
+    bag, figures = demonstration.prepare(out, _BAG, _FIGURES)
+    request = Request(
+        actuators="hardware", world=WORLD, seed=wanted.seed, clock=wanted.clock,
+        real_time_factor=wanted.real_time_factor, bag=bag,
+    )  # fmt: skip
+    failure: ValorError | None = None
+    with demonstration.running(instance, request, progress, interruption) as settings:
+        try:
+            with bar("walking", wanted.distance, "m") as at:
+                walk = walking.walk(instance, order, interruption.check, lambda _, way: at(way))
+            progress.done(f"walked {walk.describe()}")
+            if walk.reason:
+                failure = ValorError(f"walked {walk.describe()}, then {walk.reason}")
+        except InterruptedBySignalError:
+            raise
+        except ValorError as error:
+            failure = error  # figures and pictures may show why
+    try:
+        made = _show(bag, figures, RobotDescription.load(settings.robot), progress, interruption)
+    except ValorError as error:
+        raise failure or error from None
+    demonstration.tell([bag, figures, *made], progress)
+    if failure:
+        raise failure
+
+
+def _show(
+    bag: Path, figures_file: Path, robot: RobotDescription, progress: Progress, interruption: Interruption
+) -> list[Path]:
+    """Figures and pictures, from the bag alone."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    from valor_analysis import walk_plots
+    from valor_analysis.bag import Bag
+    from valor_analysis.recording import Recording
+    from valor_analysis.walk import Figures, Timeliness, Track
+
+    progress.waiting("reading the bag")
+    recorded = Bag.of(bag)
+    recording = Recording(recorded, robot)
+    track = Track.of(recording)
+    first, last = track.walk()
+    figures = Figures.of(track.between(first, last))
+    timeliness = Timeliness.of(recording, first, last)
+    figures_file.write_text(json.dumps(asdict(figures) | asdict(timeliness), indent=2) + "\n")
+    interruption.check()
+    made: list[Path] = []
+    for draw in (walk_plots.path, walk_plots.dynamics, walk_plots.picture):
+        progress.waiting(f"drawing the {draw.__name__}")
+        made += draw(recorded, robot, out=figures_file.parent)
+        interruption.check()
+    progress.clear()
+    _print(figures, timeliness)
+    return made
+
+
+def _print(figures: object, timeliness: object) -> None:
+    from rich.table import Table
+
+    from valor_analysis.walk import Figures, Timeliness
+
+    assert isinstance(figures, Figures)
+    assert isinstance(timeliness, Timeliness)
+    table = Table(box=None, pad_edge=False, show_header=False)
+    x, y, z = (1e3 * each for each in figures.dcm_error)
+    for name, value in (
+        ("distance", f"{figures.distance:.1f} m"),
+        ("robot time", f"{figures.duration:.1f} s ({figures.speed:.2f} m/s)"),
+        ("falls", str(int(figures.fell))),
+        ("DCM error, rms", f"{x:.1f}, {y:.1f}, {z:.1f} mm (x, y, z)"),
+        ("smallest knee angle", f"{figures.knee:.2f} rad"),
+        ("torques clamped at their limit", str(figures.saturations)),
+        ("vertical foot force, planned against measured", f"{figures.force_error:.0f} N rms, "
+                                                          f"{figures.force_error_median:.1f} N median"),
+        ("solver failures", str(figures.qp_failures)),
+        ("tick", f"{1e3 * figures.tick_median:.2f} ms median, {1e3 * figures.tick_99:.2f} ms p99"),
+        ("deadlines missed", f"{timeliness.overruns} of {figures.ticks}"),
+        ("waits timed out", str(timeliness.waits_timed_out)),
+        ("clock slip", f"{timeliness.slip:.2f} s"),
+    ):  # fmt: skip
+        table.add_row(name, value)
+    rich_console().print(table)
