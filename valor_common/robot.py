@@ -202,7 +202,7 @@ class Walking(Table):
     touchdown_depth: NonNegative = 0.003  # below the ground, that the swinging foot is led to [m]
     touchdown_force: Positive = 30.0  # vertical, at which a swinging foot has touched down [N]
     earliest_touchdown: Positive = 0.6  # of the swing's duration
-    late_descent: Positive = 0.05  # of a foot that finds no ground in time [m/s]
+    descent: Positive = 0.2  # of a foot as it comes down, and on until it finds ground [m/s]
     latest_touchdown: Positive = 0.3  # after the swing's end, whatever the foot feels [s]
     loading_duration: Positive = 0.05  # in which a foot gets and gives the right to push [s]
     foot_weight: Positive = 20.0  # of the swinging foot's task

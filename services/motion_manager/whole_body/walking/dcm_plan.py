@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
+FIRST = slice(1, 2)  # knot after the start
+
 
 class DcmPlan:
     """DCM and VRP over time, from a given DCM and VRP to rest.
@@ -29,7 +31,9 @@ class DcmPlan:
         knots: (n+1, 3) the VRP's, the first after the start moved so that the plan begins at the DCM given [m].
     """
 
-    def __init__(self, omega: float, durations: list[float], knots: FloatArray, dcm: FloatArray) -> None:
+    def __init__(
+        self, omega: float, durations: list[float], knots: FloatArray, dcm: FloatArray, giving: slice = FIRST
+    ) -> None:
         """Plan.
 
         Args:
@@ -37,17 +41,19 @@ class DcmPlan:
             durations: (n,) of the pieces, n ≥ 2, above 0 [s].
             knots: (n+1, 3) of the VRP, where the pieces begin and end [m]; the DCM rests at the last.
             dcm: (3,) at the start [m].
+            giving: the knots that give way, all alike.
         """
         self._omega = omega
         self._durations = durations
         self.duration = sum(durations)
         influence = np.zeros((len(durations) + 1, 1))
-        influence[1] = 1.0
+        influence[giving] = 1.0
         weight = float(self._backward(influence)[0, 0])
         self.knots = knots.copy()
-        self.knots[1] += (dcm - self._backward(knots)[0]) / weight
+        self.knots[giving] += (dcm - self._backward(knots)[0]) / weight
         self._dcm = self._backward(self.knots)
         self._piece, self._began = 0, 0.0
+        self._last = len(durations) - 1
 
     def _backward(self, knots: FloatArray) -> FloatArray:
         """(n+1, …) the DCM at the knots, at rest at the last."""
@@ -67,14 +73,21 @@ class DcmPlan:
         self._piece, self._began = piece, began
         return dcm
 
+    def hold(self, piece: int) -> None:
+        """Let no piece begin after this one: its VRP goes on resting where it ends, and the DCM moves away from it."""
+        self._last = piece
+
     def at(self, time: float) -> tuple[FloatArray, FloatArray]:
         """(3,) DCM and (3,) VRP [m] at ``time`` [s] since the start, which never goes back between calls."""
-        while self._piece < len(self._durations) - 1 and time > self._began + self._durations[self._piece]:
+        while self._piece < self._last and time > self._began + self._durations[self._piece]:
             self._began += self._durations[self._piece]
             self._piece += 1
         i = self._piece
         duration = self._durations[i]
         t = min(max(time - self._began, 0.0), duration)
+        if i == self._last and i < len(self._durations) - 1 and time - self._began > duration:
+            vrp = self.knots[i + 1]
+            return vrp + exp(self._omega * (time - self._began - duration)) * (self._dcm[i + 1] - vrp), vrp
         rate = (self.knots[i + 1] - self.knots[i]) / duration
         vrp = self.knots[i] + rate * t
         ahead = rate / self._omega

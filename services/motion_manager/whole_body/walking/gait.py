@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body.state import RobotState
-from motion_manager.whole_body.walking.dcm_plan import DcmPlan
+from motion_manager.whole_body.walking.dcm_plan import FIRST, DcmPlan
 from motion_manager.whole_body.walking.footsteps import LEFT, Step, StepSource
 from motion_manager.whole_body.walking.step_guard import StepGuard
 from motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
@@ -164,7 +164,10 @@ class Gait:
         else:
             durations += [0.5 * self._transfer, 0.5 * self._transfer]
             knots += [0.5 * (self.vrp + rest), rest]
-        self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm)
+        giving = FIRST if self._landed is None or not steps else slice(1, 3)  # the sway, or all over the next stance
+        self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm, giving)
+        if steps:  # a foot that is late must be waited for
+            self._plan.hold(2 if self._landed is None else 1)
 
     def _over(self, sole: SolePose, foot: int) -> FloatArray:
         """(3,) the VRP over the middle of a sole, in odom [m]."""
@@ -193,7 +196,7 @@ class Gait:
             height=step.swing_height,
             duration=step.swing_duration,
             depth=table.touchdown_depth,
-            descent=table.late_descent,
+            descent=table.descent,
         )
 
     def _give_way(self, state: RobotState, dcm: FloatArray, step: Step) -> None:
