@@ -199,7 +199,7 @@ class Walking(Table):
     first_transfer_duration: Positive = 1.0  # from rest [s]
     last_transfer_duration: Positive = 1.0  # to rest [s]
     swing_height: Positive = 0.06  # of the apex above the higher of lift-off and touch-down [m]
-    touchdown_depth: NonNegative = 0.025  # below the ground, that the swinging foot is led to: holes are met in time [m]
+    touchdown_depth: NonNegative = 0.025  # below the foothold, that a foot is led to: holes are met in time [m]
     touchdown_force: Positive = 30.0  # vertical, at which a swinging foot has touched down [N]
     earliest_touchdown: Positive = 0.6  # of the swing's duration
     descent: Positive = 0.2  # of a foot as it comes down, and on until it finds ground [m/s]

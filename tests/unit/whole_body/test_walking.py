@@ -13,7 +13,7 @@ from motion_manager.whole_body import rotation
 from motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose, reach_refusal
 from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.swing import SolePose, SwingTrajectory
+from motion_manager.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingTrajectory
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor_common.robot import RobotDescription
 
@@ -68,20 +68,32 @@ def test_a_plan_is_what_integration_gives() -> None:
     np.testing.assert_allclose(dcm, [0.01, 0.0, 0.9], atol=1e-6)
 
 
+def test_a_plan_on_hold_lets_the_dcm_go_on_from_where_the_vrp_rests() -> None:
+    knots = np.array([[0, 0.1, 0.9], [0, -0.1, 0.9], [0, -0.1, 0.9], [0.3, 0.1, 0.9], [0.3, 0.0, 0.9]])
+    plan = DcmPlan(OMEGA, [0.2, 0.6, 0.2, 1.0], knots, np.array([0.05, 0.0, 0.9]))
+    plan.hold(1)
+    dcm, vrp = plan.at(0.8)
+    for time in np.arange(0.8, 1.0, DT):  # the next piece would have begun
+        dcm = vrp + (dcm - vrp) * np.exp(OMEGA * DT)
+        after, held = plan.at(time + DT)
+        np.testing.assert_allclose(after, dcm, atol=1e-9)
+        np.testing.assert_allclose(held, knots[2], atol=1e-12)
+
+
 @pytest.fixture
 def swing() -> SwingTrajectory:
     target = SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3))
     return SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05)
 
 
-def test_a_swing_leaves_and_lands_at_rest_over_its_apex(swing: SwingTrajectory) -> None:
+def test_a_swing_leaves_at_rest_and_comes_down_over_its_apex(swing: SwingTrajectory) -> None:
     begin, middle, end = swing.at(0.0), swing.at(0.3), swing.at(0.6 - 1e-9)
     np.testing.assert_allclose(begin.position, FEET[0].position)
     np.testing.assert_allclose(end.position, [0.4, 0.12, 0.047], atol=1e-6)
     np.testing.assert_allclose(end.rotation, rotation.yaw_matrix(0.3), atol=1e-6)
     assert middle.position[2] == pytest.approx(0.05 + 0.06)
-    for point in (begin, end):
-        np.testing.assert_allclose(point.velocity, 0.0, atol=1e-6)
+    np.testing.assert_allclose(begin.velocity, 0.0, atol=1e-6)
+    np.testing.assert_allclose(end.velocity, [0.0, 0.0, -0.05, 0.0, 0.0, 0.0], atol=1e-6)
     late = swing.at(0.8)
     assert late.position[2] == pytest.approx(0.047 - 0.2 * 0.05)
     assert late.velocity[2] == pytest.approx(-0.05)
@@ -124,7 +136,7 @@ def test_a_retargeted_swing_goes_on_without_a_jump(
         end = swing.at(time + left - 1e-9)
         np.testing.assert_allclose(end.position, [x, y, z - 0.003], atol=1e-6)
         np.testing.assert_allclose(end.rotation, rotation.yaw_matrix(yaw), atol=1e-6)
-        np.testing.assert_allclose(end.velocity, 0.0, atol=1e-4)
+        np.testing.assert_allclose(end.velocity, [0.0, 0.0, -0.05, 0.0, 0.0, 0.0], atol=1e-4)
         time, left, x = time + 0.4 * left, 0.5 * left, x - 0.1
 
 
@@ -136,6 +148,8 @@ def test_a_retarget_to_the_same_target_changes_nothing(time: float) -> None:
     first, second = (
         SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05) for _ in range(2)
     )
+    if 0.0 < 0.3 - time < SHORTEST_RISE:
+        return  # so near to the apex it goes down at once
     second.retarget(time, target, 0.6)
     for t in np.linspace(time, 0.7, 20):
         np.testing.assert_allclose(second.at(t).position, first.at(t).position, atol=1e-9)

@@ -27,6 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 
 AHEAD = 3  # steps planned
 HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]
+QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon it grows to all of it below that
 MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
 
 
@@ -174,6 +175,12 @@ class Gait:
         place: FloatArray = sole.position + sole.rotation @ self._centres[foot] + self._height
         return place
 
+    def _depth(self, duration: float) -> float:
+        """How far below its foothold a foot is led [m]: a quick one has no time to be early for holes."""
+        table = self._table
+        ease = (duration - table.fast_swing_duration) / (table.swing_duration - table.fast_swing_duration)
+        return table.touchdown_depth * min(1.0, max(QUICK_DEPTH, UNHURRIED * ease))
+
     def _lowering(self, one: SolePose, other: SolePose) -> float:
         """How much lower than nominal the CoM must be so that no leg is stretched further than its reach [m].
 
@@ -195,7 +202,7 @@ class Gait:
             step.sole,
             height=step.swing_height,
             duration=step.swing_duration,
-            depth=table.touchdown_depth,
+            depth=self._depth(step.swing_duration),
             descent=table.descent,
         )
 
