@@ -69,7 +69,21 @@ class RosClient:
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
 
-    def call_action(self, action_type: Any, name: str, goal: Any, timeout: float) -> Any:
+    def subscribe(self, message_type: Any, topic: str, hear: Callable[[Any], None], qos: Any) -> None:
+        """Hear a topic as long as the node lives, while something is waited for."""
+        self._node.create_subscription(message_type, topic, hear, qos)
+
+    def wait(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+        """Wait until ``done()``.
+
+        Raises:
+            ValorError: not within ``timeout`` [s]; begins with ``what``.
+        """
+        self._spin(done, timeout, what)
+
+    def call_action(
+        self, action_type: Any, name: str, goal: Any, timeout: float, hear: Callable[[Any], None] | None = None
+    ) -> Any:
         """Send a goal and wait for its result. Whatever ends the wait early cancels the goal.
 
         Args:
@@ -77,6 +91,7 @@ class RosClient:
             name: of the action.
             goal: its goal.
             timeout: for the result [s].
+            hear: given each feedback.
 
         Returns:
             The result message.
@@ -87,7 +102,7 @@ class RosClient:
         client = ActionClient(self._node, action_type, name)
         try:
             self._spin(client.server_is_ready, _SERVER_TIMEOUT, f"nobody serves the action {name}")
-            accepting = client.send_goal_async(goal)
+            accepting = client.send_goal_async(goal, (lambda each: hear(each.feedback)) if hear else None)
             self._spin(accepting.done, _RESPONSE_TIMEOUT, f"{name} does not answer a goal")
             handle = accepting.result()
             if handle is None or not handle.accepted:

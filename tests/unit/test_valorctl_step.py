@@ -1,0 +1,111 @@
+"""Plans from files and from the small planner are plans that the robot takes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vigir_footstep_planning_msgs.msg import Step, StepPlan
+
+from footstep_converter.plan import Limits, convert
+from tests.conftest import REPOSITORY, ROBOTS
+from valor_common.errors import ConfigurationError, ValorError
+from valor_common.poses import Pose, level
+from valor_common.robot import RobotDescription
+from valorctl import step_picture
+from valorctl.step_plan import FEET, PlanStep, load
+from valorctl.step_planner import middle, plan_to
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+TABLE = ROBOT.tables.footsteps
+assert TABLE is not None
+PLANS = sorted((REPOSITORY / "examples" / "plans").glob("*.yaml"))
+HALF = 0.5 * ROBOT.tables.walking.step_width
+
+
+def message(steps: list[PlanStep]) -> StepPlan:
+    """The plan for a robot whose feet stand side by side around odom's origin."""
+    plan = StepPlan()
+    plan.header.frame_id = plan.start.header.frame_id = "odom"
+    plan.start.right.foot_index = 1
+    plan.start.left.pose.position.y, plan.start.right.pose.position.y = HALF, -HALF
+    for index, each in enumerate(steps):
+        step = Step(step_index=index, valid=True, swing_height=each.swing_height)
+        step.step_duration, step.sway_duration = each.step_duration, each.sway_duration
+        step.foot.foot_index = FEET.index(each.foot)
+        p, q = step.foot.pose.position, step.foot.pose.orientation
+        p.x, p.y, p.z = each.sole.position
+        q.w, q.x, q.y, q.z = each.sole.orientation
+        plan.steps.append(step)
+    return plan
+
+
+@pytest.mark.parametrize("file", PLANS, ids=lambda file: file.stem)
+def test_every_example_is_a_good_plan(file: Path) -> None:
+    steps = load(file).steps
+    assert len(convert(message(steps), Limits(TABLE, ROBOT.tables.feet))) == len(steps)
+
+
+def test_there_are_ten_examples() -> None:
+    assert len(PLANS) == 10
+
+
+coordinates = st.floats(-2.0, 2.0)
+
+
+@given(coordinates, coordinates, st.floats(-math.pi, math.pi))
+def test_the_planner_ends_exactly_at_its_goal_within_the_limits(x: float, y: float, yaw: float) -> None:
+    try:
+        steps = plan_to((x, y, yaw), TABLE, ROBOT.tables.walking)
+    except ValorError as error:
+        assert "a plan has at most 50" in str(error)
+        assert math.hypot(x, y) > 0.5
+        return
+    if not steps:
+        assert math.hypot(x, y) < 1e-3
+        return
+    taken = convert(message(steps), Limits(TABLE, ROBOT.tables.feet))
+    feet = {step.foot: step.sole for step in taken[-2:]}
+    end = middle(feet[0], feet[1])
+    assert math.dist(end.position, (x, y, 0.0)) < 1e-9
+    assert abs(math.remainder(end.yaw - yaw, math.tau)) < 1e-9
+    assert math.dist(feet[0].position, feet[1].position) == pytest.approx(2 * HALF)
+
+
+@pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (1e300, 0.0, 0.0), (50.0, 0.0, 0.0)])
+def test_a_goal_that_cannot_be_is_refused(goal: tuple[float, float, float]) -> None:
+    with pytest.raises(ValorError, match=r"expected finite|farther than a plan of \d+ steps"):
+        plan_to(goal, TABLE, ROBOT.tables.walking)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("steps: []", "steps: List should have at least 1 item"),
+        ("{", "plan.yaml: "),
+        ("steps: [{foot: middle, x: 0, y: 0}]", "steps.0.foot: Input should be 'left' or 'right'"),
+        ("steps: [{foot: left, x: .nan, y: 0}]", "steps.0.x: Input should be a finite number"),
+        ("steps: [{foot: left, x: 0, y: 0, toe: 1}]", "steps.0.toe: Extra inputs"),
+        ("12", "the file: Input should be"),
+    ],
+)
+def test_a_broken_file_is_refused_in_one_line(tmp_path: Path, text: str, error: str) -> None:
+    file = tmp_path / "plan.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError) as refused:
+        load(file)
+    assert error in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_picture_is_drawn(tmp_path: Path) -> None:
+    start = (level(0.0, HALF, 0.0, 0.0), level(0.0, -HALF, 0.0, 0.0))
+    steps = [(FEET.index(step.foot), step.sole) for step in load(PLANS[0]).steps]
+    file = tmp_path / "plan.png"
+    step_picture.draw(file, ROBOT.tables.feet, start, steps, (Pose(), Pose()))
+    assert file.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ValorError, match="cannot be written"):
+        step_picture.draw(tmp_path / "none" / "plan.png", ROBOT.tables.feet, start, steps, None)

@@ -1,0 +1,66 @@
+"""A plan and what became of it, from above."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from valor_common.errors import ValorError
+from valor_common.poses import Pose
+from valor_common.robot import Feet
+from valor_common.soles import outline
+
+COLORS = ("tab:red", "tab:green")  # left, right, as on ships
+
+
+def draw(
+    file: Path,
+    feet: Feet,
+    start: Sequence[Pose],
+    steps: Sequence[tuple[int, Pose]],
+    end: Sequence[Pose] | None,
+) -> None:
+    """Write the picture.
+
+    Args:
+        file: of a kind that matplotlib knows by its ending.
+        feet: their outlines.
+        start: left and right sole at the start, in odom.
+        steps: foot and sole, in order, in odom.
+        end: left and right sole at the end; None: not known.
+
+    Raises:
+        ValorError: the picture cannot be written.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
+
+    figure = Figure(figsize=(8, 8), layout="constrained")
+    axes = figure.add_subplot()
+
+    def sole(foot: int, pose: Pose, **style: Any) -> None:
+        corners = outline(pose.position, pose.rotation, feet.left if foot == 0 else feet.right)
+        axes.add_patch(Polygon(corners, closed=True, **style))
+
+    for foot in (0, 1):
+        sole(foot, start[foot], facecolor="0.9", edgecolor="0.6", label="start" if foot == 0 else None)
+    for number, (foot, pose) in enumerate(steps):
+        first = number == next((i for i, (other, _) in enumerate(steps) if other == foot), -1)
+        name = f"planned, {('left', 'right')[foot]}" if first else None
+        sole(foot, pose, facecolor=COLORS[foot], edgecolor=COLORS[foot], alpha=0.35, label=name)
+        axes.annotate(str(number), pose.position[:2], ha="center", va="center", fontsize=8)
+    for foot in (0, 1) if end is not None else ():
+        assert end is not None
+        sole(foot, end[foot], fill=False, edgecolor="black", linewidth=1.5, label="reached" if foot == 0 else None)
+    axes.autoscale_view()
+    axes.margins(0.05)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x in odom [m]")
+    axes.set_ylabel("y in odom [m]")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="best", fontsize=8)
+    try:
+        figure.savefig(file, dpi=120)
+    except (OSError, ValueError) as error:
+        raise ValorError(f"{file}: the picture cannot be written: {error}") from None
