@@ -17,7 +17,7 @@ STRIDE = 0.2  # of the middle, from step to step [m]
 ASIDE = 0.1  # of both feet of a pair [m]
 TURN = 0.25  # likewise [rad]
 NEAR = 0.35  # as near as that, the robot goes without turning towards the goal [m]
-THERE = (1e-3, 1e-3)  # less is no way, or no turn [m, rad]
+THERE = (1e-6, 1e-9)  # less is no way, or no turn [m, rad]
 SAFE = 0.9  # of a limit of the robot
 
 Middle = tuple[float, float, float]  # x, y [m], yaw [rad]

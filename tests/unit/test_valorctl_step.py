@@ -65,7 +65,7 @@ def test_the_planner_ends_exactly_at_its_goal_within_the_limits(x: float, y: flo
         assert math.hypot(x, y) > 0.5
         return
     if not steps:
-        assert math.hypot(x, y) < 1e-3
+        assert math.hypot(x, y) < 1e-6
         return
     taken = convert(message(steps), Limits(TABLE, ROBOT.tables.feet))
     feet = {step.foot: step.sole for step in taken[-2:]}
