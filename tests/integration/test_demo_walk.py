@@ -1,0 +1,54 @@
+"""``demo walk`` as a person runs it: a short way on the dirt course, and Ctrl-C on it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+from tests.system import VALORCTL, System, leftovers, shared_memory
+from valor_analysis.bag import Bag
+from valorctl import walk_demonstration
+
+ARGUMENTS = ("demo", "walk", "--speed", "0.3", "--seed", "1", "--rtf", "0")
+
+
+@pytest.fixture
+def system(home: Path) -> System:
+    return System(walk_demonstration.NAME, home)
+
+
+def test_walks_a_metre_of_dirt_and_leaves_figures_pictures_and_nothing_else(system: System, home: Path) -> None:
+    before = shared_memory()
+    out = home / "out"
+    told = system.valorctl(*ARGUMENTS, "--distance", "1", "--out", str(out), timeout=170.0).stdout
+    figures = json.loads((out / "walk.json").read_text())
+    assert 0.8 < figures["distance"] < 2.5
+    assert not figures["fell"]
+    assert figures["qp_failures"] == 0
+    assert max(figures["dcm_error"]) < 0.05
+    assert figures["knee"] > 0.2
+    assert 0.0 < figures["force_error_median"] < 60.0
+    assert figures["ticks"] > 1000
+    for line in ("distance", "falls", "DCM error, rms", "deadlines missed", "everything is shut down"):
+        assert line in told
+    assert Bag(out / "walk.mcap").origin["world"] == "dirt"
+    for name in ("path", "dynamics", "on_the_way"):
+        assert matplotlib.image.imread(out / f"{name}.png")[:, :, :3].std() > 0.05
+    assert leftovers(home, system.name, before) == []
+
+
+def test_ctrl_c_on_the_way_leaves_nothing_running(system: System, home: Path) -> None:
+    before = shared_memory()
+    command = [str(VALORCTL), *ARGUMENTS, "--distance", "20", "--out", str(home / "out")]
+    with subprocess.Popen(command, env=system.environment, cwd="/", stdout=subprocess.PIPE, text=True) as demo:
+        assert demo.stdout is not None
+        for line in demo.stdout:
+            if line.startswith("control mode stand"):
+                demo.send_signal(signal.SIGINT)
+    assert demo.returncode == 128 + signal.SIGINT
+    assert leftovers(home, system.name, before) == []
