@@ -3,9 +3,12 @@
 One cycle, at every second Proprioceptor::
 
     read ──► mode manager ──► switch controllers ──► joint manager ──► robot manager ──► rectify and write
-      ▲      (control mode     if the mode says so,  (trajectories)    (pelvis,           (limits, one writer
-      │       controller)      or a client asks                         footsteps)         a joint)
-    Proprioceptor, MotionState                                                             JointSetpoints
+      ▲      (control mode     if the mode says so   (trajectories)    (pelvis,           (limits, one writer
+      │       controller)                                               footsteps)         a joint)
+    Proprioceptor, MotionState                                                             JointSetpoints,
+                                                                                           PelvisSetpoint
+
+What clients of the controller manager ask for is done between robot manager and rectification.
 """
 
 from __future__ import annotations
@@ -85,10 +88,10 @@ class ValorEscherController:
         self._last_time = hw.time
         self.modes.update(hw)
         self._enter_mode(went_back)
-        self.queue.run()
         hw.command_offset.fill(0.0)
         self.joints.update(hw)
         self.robots.update(hw)
+        self.queue.run()  # behind the controllers, so that a goal that came before a question is under way
         if measured:
             self._interface.write()
         self._interface.report(self.mode_controller.report)
