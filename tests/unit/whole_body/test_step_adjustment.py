@@ -7,7 +7,7 @@ from math import cos, exp, inf, nan, sin
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
@@ -77,6 +77,7 @@ def test_without_an_error_nothing_changes(foot: int, heading: float, left: float
     assert found.cost == pytest.approx(0.0, abs=1e-6)
 
 
+@example(0, -0.296875, 0.25, (-1.0, 0.0), 0.0, 0.0703125)  # a foot beyond reach with no time left
 @given(feet, st.floats(-0.3, 0.5), st.floats(0.15, 0.4), errors, headings, left_times)
 def test_whatever_the_error_the_step_is_within_reach(
     foot: int, x: float, y: float, error: tuple[float, float], heading: float, left: float

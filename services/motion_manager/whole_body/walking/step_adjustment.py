@@ -188,10 +188,11 @@ class StepAdjuster:
         distance = 0.0
         for i in (0, 1):
             most = step.adjustable
-            low = max(boxes[i][0], planned[i] - most, foot[i] - way)
-            high = min(boxes[i][1], planned[i] + most, foot[i] + way)
-            # What is planned is always allowed, and so are bounds that a foot far off would cross.
-            lower[i], upper[i] = min(low, planned[i], high), max(high, planned[i], low)
+            ends = max(boxes[i][0], planned[i] - most), min(boxes[i][1], planned[i] + most)
+            low, high = min(ends), max(ends)
+            # What is planned is always allowed; a foot far off gets as near as it can, and not beyond reach.
+            lower[i] = min(max(low, foot[i] - way), high, planned[i])
+            upper[i] = max(min(high, foot[i] + way), low, planned[i])
             distance = hypot(distance, planned[i] - foot[i])
         soonest = min(left, max(situation.least, PEAK * distance / table.foot_speed))
         lower[2], upper[2] = exp(omega * (soonest - left)), exp(omega * table.longest_delay)
