@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -100,6 +101,13 @@ class Track:
             tick=np.array([state.tick_time for state in both]),
             qp_failures=np.array([state.qp_failures for state in both], dtype=np.int64),
             saturations=np.array([state.torque_saturations for state in both], dtype=np.int64),
+        )
+
+    @classmethod
+    def joined(cls, pieces: Sequence[Self]) -> Self:
+        """One track of pieces that follow each other; at least one."""
+        return cls(
+            **{each.name: np.concatenate([getattr(piece, each.name) for piece in pieces]) for each in fields(cls)}
         )
 
     def between(self, first: float, last: float) -> Self:
