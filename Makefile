@@ -60,6 +60,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/ipc.py
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/standing.py
+	$(BIN)/python benchmarks/walking.py --quick
 
 # Versions and hashes of all that is installed, from the bounds in pyproject.toml.
 lock:
