@@ -54,6 +54,8 @@ def plan_to(goal: Middle, limits: Footsteps, walking: Walking) -> list[PlanStep]
         walking.step_width, (stride, min(ASIDE, SAFE * limits.max_backward), min(TURN, SAFE * limits.max_yaw))
     )
     if distance < NEAR:
+        # One after the other: a foot that leads to one side while it turns to the other steps on its neighbor.
+        steps.shuffle((x, y, 0.0))
         steps.shuffle((x, y, yaw))
     else:
         if abs(bearing) > math.pi / 2.0:  # backwards: to turn round takes more steps than the way

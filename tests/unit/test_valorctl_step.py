@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
 
@@ -56,6 +56,7 @@ def test_there_are_ten_examples() -> None:
 coordinates = st.floats(-2.0, 2.0)
 
 
+@example(x=0.0, y=0.25, yaw=-3.0)  # to the left while turning to the right
 @given(coordinates, coordinates, st.floats(-math.pi, math.pi))
 def test_the_planner_ends_exactly_at_its_goal_within_the_limits(x: float, y: float, yaw: float) -> None:
     try:
