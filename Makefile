@@ -45,9 +45,13 @@ $(WHEELS): $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests against real processes.
+# Everything that must hold: style, types, boundaries, then the tests. Those of real processes run one after another:
+# they want the processor to themselves.
 test: $(STAMP) lint
-	$(BIN)/python -m pytest
+	@status=0; \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance || status=1; \
+	$(BIN)/python -m pytest tests/integration || status=1; \
+	exit $$status
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

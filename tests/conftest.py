@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+import hypothesis
 import pytest
 
 import bifrost
@@ -25,6 +26,8 @@ from valor_common.topics import STATISTICS
 REPOSITORY = Path(__file__).resolve().parent.parent
 ROBOTS = REPOSITORY / "robots"
 T = TypeVar("T")
+hypothesis.settings.register_profile("valor", deadline=None)  # how long an example takes is the machine's matter
+hypothesis.settings.load_profile("valor")
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
