@@ -90,6 +90,10 @@ class MotionState(Message):
     dcm_reference_in_odom: Float64Array  # (3,) [m]
     cop_in_odom: Float64Array  # (2,) [m], from the foot wrenches; NaN without contact
     contacts: Uint8Array  # (2,) left, right foot: 1 in contact
+    contact_probability: Float64Array  # (2,) that each foot stands still, 0 to 1
+    pelvis_position_variance: Float64Array  # (3,) along the axes of odom [m²]; grows with the way, as odometry's error
+    pelvis_orientation_variance: Float64Array  # (3,) about the axes of odom [rad²]
+    pelvis_linear_velocity_variance: Float64Array  # (3,) along the axes of odom [m²/s²]
     joint_setpoint: Float64Array  # (n,) positions commanded last [rad]; measured ones for joints driven by force alone
     pelvis_setpoint: Float64Array  # (6,) commanded last, as in PelvisSetpoint
     pelvis_in_support: Float64Array  # (6,) estimated, likewise

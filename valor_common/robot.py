@@ -261,13 +261,22 @@ class Estimator(Table):
 
     attitude_time_constant: Positive = 0.1  # from the gyroscope to the IMU's attitude [s]
     heading_time_constant: Positive = 1.0  # from the IMU's heading to the standing feet's [s]
+    attitude_deviation: NonNegative = 0.0005  # of the estimated attitude, besides its level and heading [rad]
+    heading_walk: NonNegative = 0.0003  # of the IMU's heading, while the feet do not hold it [rad/√s]
     joint_velocity_bandwidth: Positive = 50.0  # of the low-pass on measured joint velocities [Hz]
     acceleration_deviation: Positive = 0.3  # of the accelerometer in odom, per sample [m/s²]
-    bias_walk: Positive = 0.02  # of the accelerometer's bias [m/s²/√s]
+    start_velocity_deviation: Positive = 0.05  # of the pelvis at rest, when the estimate begins [m/s]
+    bias_deviation: Positive = 0.05  # of the accelerometer's error: 0.05 m/s² are 5 mrad of tilt [m/s²]
+    bias_walk: Positive = 0.001  # of it [m/s²/√s]
     leg_position_deviation: Positive = 0.002  # of leg odometry, per sample [m]
     leg_velocity_deviation: Positive = 0.02  # [m/s]
-    anchor_time_constant: Positive = 5.0  # in which a slipped foot's old place is forgotten [s]
-    settling_time: NonNegative = 0.1  # that a foot takes to lie flat once it touches the ground [s]
+    foothold_deviation: Positive = 0.001  # of where a foot comes to stand [m]
+    settling_time: Positive = 0.1  # that a foot takes to come to rest once it touches the ground [s]
+    foothold_heading_deviation: NonNegative = 0.0003  # of a foot that has come to stand [rad]
+    creep: Positive = 0.0001  # of a foot that stands beside the other [m/√s]
+    creep_alone: Positive = 0.0016  # of one that stands alone, while the robot walks over it [m/√s]
+    slip: Positive = 0.05  # of one that surely does not stand, though it touches the ground [m/√s]
+    surprise_gate: Positive = 2.0  # squared deviation of a leg's measurement that is still that of a standing foot
     hang_time_constant: Positive = 0.3  # in which velocity fades without contact [s]
     contact_on: Positive = 0.08  # of the robot's weight: a foot in contact from here
     contact_off: Positive = 0.04  # until here

@@ -1,123 +1,38 @@
-"""Where the robot is: attitude from the IMU, position and velocity from the loaded legs and the accelerometer.
+"""Where the robot is: attitude from the IMU, position and velocity from the standing feet and the accelerometer.
 
-Never the simulator's truth. Three parts:
+Never the simulator's truth. Four parts:
 
-- ``Attitude``: gyroscope integrated, drawn slowly towards the IMU's own attitude (a complementary filter, Mahony et al.
-  2008); its heading relative to odom is held by the loaded feet, for an IMU's heading drifts.
-- leg odometry: a loaded foot stands still, so the pelvis moves as the leg's kinematics says (weights by vertical force;
-  at its centre of pressure, which stands still even when the foot rolls over an edge).
-- ``OdometryFilter``: a steady-state Kalman filter of position, velocity and the accelerometer's bias, the same on each
-  axis (Bloesch et al. 2012 in spirit, with constant gains).
+- ``Attitude``: gyroscope and the IMU's own attitude; its level comes from gravity, its heading from the standing feet.
+- ``FootContact``: how probably each foot stands.
+- ``OdometryFilter``: a Kalman filter of position, velocity and where the feet stand.
+- this: leg kinematics, and what the parts tell each other.
+
+A standing foot is still at its centre of pressure, even when it rolls over an edge or settles on a stone: so the sole's
+origin moves as the sole turns about that point. What the accelerometer seems to measure too much horizontally is
+gravity, seen from an attitude that is not level: δθ = (b_y, −b_x)/g. It goes to the attitude at once, so that odometry
+does not climb: 2 mrad of tilt are 2 mm a metre.
 """
 
 from __future__ import annotations
 
-from math import atan2
-from typing import NamedTuple
+from math import exp
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
+from motion_manager.whole_body.attitude import Attitude, Vector
 from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
+from motion_manager.whole_body.foot_contact import FootContact
+from motion_manager.whole_body.odometry import BIAS, FEET, MEASURES, NOTHING, POSITION, VELOCITY, OdometryFilter
 from motion_manager.whole_body.rotation import Quaternion
 from motion_manager.whole_body.state import FloatArray, RobotState
 from valor_common.messages import Proprioceptor
 from valor_common.model import Model
-from valor_common.robot import Estimator, RobotDescription
+from valor_common.robot import RobotDescription
 
-LONGEST_GAP = 0.02  # between Proprioceptors that the gyroscope's rate is believed for [s]
-
-Vector = tuple[float, float, float]
-
-
-class Attitude:
-    """Orientation of the pelvis in odom.
-
-    Attributes:
-        orientation: of the pelvis in odom.
-    """
-
-    def __init__(self, gain: float, imu_in_pelvis: Quaternion) -> None:
-        """Upright.
-
-        Args:
-            gain: share of the IMU's attitude taken over each period.
-            imu_in_pelvis: how it is mounted.
-        """
-        self._gain = gain
-        self._mounting = rotation.conjugate(imu_in_pelvis)
-        self._heading = rotation.IDENTITY  # of odom from the IMU's world
-        self.orientation = rotation.IDENTITY
-
-    def reset(self, imu_orientation: Quaternion) -> None:
-        """Take the IMU's attitude as it is."""
-        self._heading = rotation.IDENTITY
-        self.orientation = rotation.multiply(imu_orientation, self._mounting)
-
-    def turn(self, angle: float) -> None:
-        """Turn the estimate and the heading about the vertical [rad]."""
-        turned = rotation.about_z(angle)
-        self._heading = rotation.multiply(turned, self._heading)
-        self.orientation = rotation.multiply(turned, self.orientation)
-
-    def turn_heading(self, angle: float) -> None:
-        """Turn the heading alone by a small angle [rad]; the estimate follows with the filter."""
-        self._heading = rotation.quaternion(rotation.multiply(rotation.small(0.0, 0.0, angle), self._heading))
-
-    def update(self, imu_orientation: Quaternion, angular_velocity: FloatArray, dt: float) -> None:
-        """Predict with the angular velocity (3,) in pelvis [rad/s] over ``dt`` [s], correct with the attitude."""
-        x, y, z = angular_velocity.tolist()
-        predicted = rotation.multiply(self.orientation, rotation.small(x * dt, y * dt, z * dt))
-        measured = rotation.multiply(self._heading, rotation.multiply(imu_orientation, self._mounting))
-        w, ex, ey, ez = rotation.multiply(rotation.conjugate(predicted), measured)
-        gain = 2.0 * self._gain if w >= 0.0 else -2.0 * self._gain
-        corrected = rotation.multiply(predicted, rotation.small(gain * ex, gain * ey, gain * ez))
-        self.orientation = rotation.quaternion(corrected)
-
-
-class OdometryFilter:
-    """Position, velocity and accelerometer bias on three axes, with constant gains.
-
-        p⁺ = p + v·dt + ½(a − b)·dt²,   v⁺ = v + (a − b)·dt,   b⁺ = b
-
-    corrected by the legs' position and velocity. The gains are those of the stationary Kalman filter.
-
-    Attributes:
-        state: (3, 3) rows position [m], velocity [m/s], bias [m/s²]; columns x, y, z in odom.
-    """
-
-    def __init__(self, table: Estimator, dt: float) -> None:
-        self._transition = np.array([[1.0, dt, -0.5 * dt * dt], [0.0, 1.0, -dt], [0.0, 0.0, 1.0]])
-        self._input = np.array([[0.5 * dt * dt], [dt], [0.0]])
-        measured = np.eye(2, 3)
-        process = self._input @ self._input.T * table.acceleration_deviation**2
-        process[2, 2] = table.bias_walk**2 * dt
-        noise = np.diag((table.leg_position_deviation**2, table.leg_velocity_deviation**2))
-        covariance = solve_discrete_are(self._transition.T, measured.T, process + 1e-16 * np.eye(3), noise)
-        self._gain = covariance @ measured.T @ np.linalg.inv(measured @ covariance @ measured.T + noise)
-        self._leak = np.array([[1.0], [np.exp(-dt / table.hang_time_constant)], [1.0]])
-        self.state = np.zeros((3, 3))
-
-    def reset(self, position: FloatArray) -> None:
-        """Stand still at ``position`` (3,)."""
-        self.state[:] = 0.0
-        self.state[0] = position
-
-    def predict(self, acceleration: FloatArray) -> None:
-        """Go on by one period with the acceleration (3,) in odom [m/s²]."""
-        self.state = self._transition @ self.state
-        self.state += self._input * acceleration
-
-    def correct(self, measured: FloatArray) -> None:
-        """Correct with the legs' position and velocity (2, 3) in odom."""
-        self.state += self._gain @ (measured - self.state[:2])
-
-    def hang(self) -> None:
-        """No foot is on the ground: let the velocity fade, for nothing corrects it."""
-        self.state *= self._leak
+LONGEST_GAP = 0.02  # between Proprioceptors that the IMU's rates are believed for [s]
 
 
 class FloatingBaseEstimator:
@@ -128,10 +43,8 @@ class FloatingBaseEstimator:
     """
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
-        table = robot.tables.estimator
-        dt = robot.control_period
+        self._table = table = robot.tables.estimator
         self.dynamics = Dynamics(model)
-        self._dt = dt
         self._places = self.dynamics.joints.places
         site = model.site(robot.tables.imu.site)
         mounting = rotation.quaternion(model.mj.site_quat[site])
@@ -139,23 +52,23 @@ class FloatingBaseEstimator:
             raise ValueError(f"{robot.name}: the IMU's site {robot.tables.imu.site!r} is not on the floating base")
         self._imu_rotation = np.zeros((3, 3))
         rotation.matrix(mounting, self._imu_rotation)
-        self._attitude = Attitude(1.0 - float(np.exp(-dt / table.attitude_time_constant)), mounting)
-        self._filter = OdometryFilter(table, dt)
-        self._smoothing = 1.0 - float(np.exp(-dt * 2.0 * np.pi * table.joint_velocity_bandwidth))
-        self._heading_gain = dt / table.heading_time_constant
-        self._anchor_gain = dt / table.anchor_time_constant
+        self._attitude = Attitude(table.attitude_time_constant, mounting)
+        self._filter = OdometryFilter(table)
         weight = self.dynamics.mass * self.dynamics.gravity
-        self._contact_on, self._contact_off = table.contact_on * weight, table.contact_off * weight
+        feet, on, off = robot.tables.feet, table.contact_on * weight, table.contact_off * weight
+        self._feet = [
+            FootContact(foot, on, off, table.settling_time, table.surprise_gate) for foot in (feet.left, feet.right)
+        ]
         upper_body = UpperBodyKinematics(model)
         self._inverse_omega = 1.0 / DcmLaw.natural_frequency(upper_body.nominal_com_height, self.dynamics.gravity)
         self._gravity = np.array((0.0, 0.0, self.dynamics.gravity))
         self._raw_velocity = np.zeros(model.mj.nv)
         self._joint_velocity = np.zeros(len(robot.joints))
-        self._anchor = np.zeros((2, 3))  # where each loaded sole stands in odom
-        self._anchor_yaw = [0.0, 0.0]
-        self._contact = [False, False]
-        self._settled = [0, 0]  # when each foot lies flat, robot time [ns]
-        self._settling = round(table.settling_time * 1e9)
+        self._measured = np.zeros((MEASURES, 3))
+        self._variances = np.zeros(MEASURES)
+        self._anchor_yaw = [0.0, 0.0]  # how each standing sole is turned in odom
+        self._heading_variance = 0.0
+        self._dt = self._smoothing = 0.0
         self._time = 0
         self._started = False
 
@@ -165,30 +78,37 @@ class FloatingBaseEstimator:
 
     def update(self, proprioceptor: Proprioceptor) -> RobotState:
         """The estimate at a Proprioceptor, whose arrays have the robot's lengths and are finite."""
+        dynamics, odometry = self.dynamics, self._filter
         orientation = rotation.quaternion(proprioceptor.imu_orientation)
         angular_velocity = self._imu_rotation @ proprioceptor.imu_angular_velocity
+        specific_force = self._imu_rotation @ proprioceptor.imu_linear_acceleration
         position, velocity = proprioceptor.joint_position, proprioceptor.joint_velocity
         if not self._started:
-            self._start(orientation, angular_velocity, position, velocity)
-            self._time = proprioceptor.time
+            self._start(proprioceptor, orientation, angular_velocity, specific_force)
         passed = 1e-9 * (proprioceptor.time - self._time)
         self._time = proprioceptor.time
-        self._attitude.update(orientation, angular_velocity, min(max(passed, 0.0), LONGEST_GAP))
+        dt = min(max(passed, 0.0), LONGEST_GAP)
+        if dt != self._dt:
+            self._dt = dt
+            self._smoothing = 1.0 - exp(-dt * 2.0 * np.pi * self._table.joint_velocity_bandwidth)
+        rate: Vector = tuple(angular_velocity.tolist())
+        self._attitude.update(orientation, rate, dt)
         self._joint_velocity = self._joint_velocity + (velocity - self._joint_velocity) * self._smoothing
-        dynamics, places = self.dynamics, self._places
+        places = self._places
         dynamics.update(self._attitude.orientation, angular_velocity, position[places], self._joint_velocity[places])
+        self._touch(proprioceptor, dt)
+        odometry.predict(dynamics.rotation @ specific_force - self._gravity, dt, self._wander())
+        self._correct_by_feet(angular_velocity, velocity, dt)
+        return self._state(proprioceptor, angular_velocity)
 
-        feet = self._foot_forces(proprioceptor)
-        self._filter.predict(
-            dynamics.rotation @ (self._imu_rotation @ proprioceptor.imu_linear_acceleration) - self._gravity
-        )
-        self._correct_by_legs(feet, angular_velocity, velocity)
-        base, base_velocity = self._filter.state[0].copy(), self._filter.state[1].copy()
+    def _state(self, proprioceptor: Proprioceptor, angular_velocity: FloatArray) -> RobotState:
+        dynamics, odometry, feet = self.dynamics, self._filter, self._feet
+        base, base_velocity = odometry.state[POSITION].copy(), odometry.state[VELOCITY].copy()
         com = base + dynamics.com
         com_velocity = base_velocity + dynamics.task_velocity[COM]
         return RobotState(
             time=proprioceptor.time,
-            joint_position=position,
+            joint_position=proprioceptor.joint_position,
             joint_velocity=self._joint_velocity,
             joint_effort=proprioceptor.joint_effort,
             pelvis_position_in_odom=base,
@@ -199,116 +119,130 @@ class FloatingBaseEstimator:
             com_in_odom=com,
             com_velocity_in_odom=com_velocity,
             dcm_in_odom=com + com_velocity * self._inverse_omega,
-            contacts=np.array(self._contact, dtype=np.uint8),
+            contacts=np.array((feet[0].touching, feet[1].touching), dtype=np.uint8),
             foot_forces=np.array((feet[0].force, feet[1].force)),
-            cop_in_odom=self._cop(base, feet),
+            contact_probability=np.array((feet[0].probability, feet[1].probability)),
+            cop_in_odom=self._cop(base),
             sole_positions_in_odom=dynamics.sole_position + base,
             sole_rotations_in_odom=dynamics.sole_rotation.copy(),
+            pelvis_position_variance=np.full(3, odometry.covariance[POSITION, POSITION]),
+            pelvis_orientation_variance=self._orientation_variance(),
+            pelvis_linear_velocity_variance=np.full(3, odometry.covariance[VELOCITY, VELOCITY]),
             dynamics=dynamics,
         )
 
+    def _orientation_variance(self) -> FloatArray:
+        """(3,) about the axes of odom [rad²]: level as uncertain as the accelerometer's error makes it, and heading."""
+        noise, g = self._table.attitude_deviation**2, self.dynamics.gravity
+        level = float(self._filter.covariance[BIAS, BIAS]) / (g * g) + noise
+        return np.array((level, level, self._heading_variance + noise))
+
     def _start(
-        self, orientation: Quaternion, angular_velocity: FloatArray, position: FloatArray, velocity: FloatArray
+        self,
+        proprioceptor: Proprioceptor,
+        orientation: Quaternion,
+        angular_velocity: FloatArray,
+        specific_force: FloatArray,
     ) -> None:
         """Put odom between the feet; whichever carries weight, both are taken to stand."""
         dynamics, attitude, places = self.dynamics, self._attitude, self._places
-        self._joint_velocity = velocity.copy()
-        attitude.reset(orientation)
-        dynamics.update(attitude.orientation, angular_velocity, position[places], velocity[places])
+        position, velocity = proprioceptor.joint_position[places], proprioceptor.joint_velocity[places]
+        self._joint_velocity = proprioceptor.joint_velocity.copy()
+        attitude.reset(orientation, tuple(angular_velocity.tolist()))
+        dynamics.update(attitude.orientation, angular_velocity, position, velocity)
         attitude.turn(-rotation.mean_yaw(dynamics.sole_rotation[0], dynamics.sole_rotation[1]))
-        dynamics.update(attitude.orientation, angular_velocity, position[places], velocity[places])
-        self._filter.reset(-dynamics.sole_position.mean(axis=0))
-        self._contact = [False, False]
+        dynamics.update(attitude.orientation, angular_velocity, position, velocity)
+        self._filter.reset(
+            -dynamics.sole_position.mean(axis=0),
+            dynamics.sole_position,
+            dynamics.rotation @ specific_force - self._gravity,
+        )
+        for foot in self._feet:
+            foot.lift()
+        self._heading_variance = 0.0
+        self._time = proprioceptor.time
         self._started = True
 
-    def _foot_forces(self, proprioceptor: Proprioceptor) -> list[_Foot]:
-        """What each foot feels, as floats: there are too few numbers for NumPy."""
-        soles = zip(
-            self.dynamics.sole_position.tolist(),
-            self.dynamics.sole_rotation.tolist(),
-            (proprioceptor.left_foot_wrench.tolist(), proprioceptor.right_foot_wrench.tolist()),
-            strict=True,
-        )
-        feet = []
-        for (px, py, _), (row_x, row_y, row_z), (fx, fy, fz, tx, ty, _) in soles:
-            vertical = row_z[0] * fx + row_z[1] * fy + row_z[2] * fz
-            x, y = (-ty / fz, tx / fz) if fz > self._contact_off else (0.0, 0.0)
-            cop = (row_x[0] * x + row_x[1] * y, row_y[0] * x + row_y[1] * y, row_z[0] * x + row_z[1] * y)
-            feet.append(_Foot(vertical, cop, (px + cop[0], py + cop[1]), atan2(row_y[0], row_x[0])))
-        return feet
+    def _touch(self, proprioceptor: Proprioceptor, dt: float) -> None:
+        """What the feet feel, and where those stand that have come down."""
+        dynamics, odometry, variance = self.dynamics, self._filter, self._table.foothold_deviation**2
+        wrenches = (proprioceptor.left_foot_wrench.tolist(), proprioceptor.right_foot_wrench.tolist())
+        rotations = dynamics.sole_rotation.tolist()
+        for i, foot in enumerate(self._feet):
+            foot.update(rotations[i], wrenches[i], odometry.surprise[i], dt)
+            if foot.landed:
+                odometry.place(i, dynamics.sole_position[i], variance)
+                self._anchor_yaw[i] = foot.yaw
+                self._heading_variance += self._table.foothold_heading_deviation**2
+            elif foot.touching:
+                odometry.state[FEET + i] += foot.rolled
+                self._anchor_yaw[i] += (1.0 - foot.probability) * (foot.yaw - self._anchor_yaw[i])
 
-    def _correct_by_legs(self, feet: list[_Foot], angular_velocity: FloatArray, velocity: FloatArray) -> None:
-        weights = [self._weight(i, foot) for i, foot in enumerate(feet)]
-        settling = [weight > 0.0 and self._time < at for weight, at in zip(weights, self._settled, strict=True)]
-        if any(settling) and not all(settling):
-            # A foot that comes down heel first says nothing about height until it lies flat: the other one does.
-            for i, still in enumerate(settling):
-                if still and weights[1 - i] > 0.0:
-                    weights[i] = 0.0
-                    self._anchor[i] = self._filter.state[0] + self.dynamics.sole_position[i]
-                    self._anchor_yaw[i] = feet[i].yaw
+    def _wander(self) -> tuple[float, float]:
+        """Variance that each foot's place gains a second: little beside the other, more alone, much slipping [m²/s]."""
+        left, right = self._feet
+        both = min(left.probability, right.probability)
+        creep, slip = self._table.creep**2, self._table.slip**2
+        creep += (1.0 - both) * self._table.creep_alone**2
+        return creep + (1.0 - left.probability) * slip, creep + (1.0 - right.probability) * slip
+
+    def _correct_by_feet(self, angular_velocity: FloatArray, velocity: FloatArray, dt: float) -> None:
+        odometry, dynamics, table = self._filter, self.dynamics, self._table
+        left, right = self._feet
+        weights = [foot.probability * foot.force for foot in self._feet]
         total = weights[0] + weights[1]
         if total <= 0.0:
-            self._filter.hang()
+            odometry.fade(dt)
+            self._heading_variance += table.heading_walk**2 * dt
             return
-        left, right = weights[0] / total, weights[1] / total
-        raw, dynamics = self._raw_velocity, self.dynamics
+        share = (weights[0] / total, weights[1] / total)
+        raw, measured, variances = self._raw_velocity, self._measured, self._variances
         raw[3:6] = angular_velocity
         raw[6:] = velocity[self._places]
-        v = (dynamics.jacobian[SOLES] @ raw).tolist()
-        lx, ly, lz = _velocity_at(v[0:3], v[3:6], feet[0].cop)
-        rx, ry, rz = _velocity_at(v[6:9], v[9:12], feet[1].cop)
-        standing = self._anchor - dynamics.sole_position  # the pelvis, as each foot says
-        measured = np.array(
-            (
-                (0.0, 0.0, 0.0),
-                (-left * lx - right * rx, -left * ly - right * ry, -left * lz - right * rz),
-            )
-        )
-        np.dot((left, right), standing, measured[0])
-        self._filter.correct(measured)
-        standing -= self._filter.state[0]
-        standing *= self._anchor_gain
-        self._anchor -= standing  # slip wears off
-        if self._contact[0] and self._contact[1]:
-            turned = left * (self._anchor_yaw[0] - feet[0].yaw) + right * (self._anchor_yaw[1] - feet[1].yaw)
-            self._attitude.turn_heading(self._heading_gain * turned)
+        soles = (dynamics.jacobian[SOLES] @ raw).tolist()
+        measured[:2] = dynamics.sole_position
+        place, rate = table.leg_position_deviation**2, table.leg_velocity_deviation**2
+        for i, foot in enumerate(self._feet):
+            measured[2 + i] = _away(soles[6 * i : 6 * i + 3], soles[6 * i + 3 : 6 * i + 6], foot.cop)
+            # Of two feet that disagree, the one that carries less is the likelier to slip.
+            doubt = 0.5 / (share[i] * foot.probability**2) if foot.touching else NOTHING / place
+            variances[i], variances[2 + i] = place * doubt, rate * doubt
+        odometry.correct(measured, variances)
+        self._level(share)
+        if left.touching and right.touching:
+            turned = [anchor - foot.yaw for anchor, foot in zip(self._anchor_yaw, self._feet, strict=True)]
+            turn = share[0] * turned[0] + share[1] * turned[1]
+            self._attitude.turn_heading(dt / table.heading_time_constant * turn)
+        else:
+            self._heading_variance += table.heading_walk**2 * dt
 
-    def _weight(self, i: int, foot: _Foot) -> float:
-        """How much foot ``i`` says about the pelvis [N]; 0 in the air. Its anchor is set when it touches down."""
-        if foot.force < self._contact_off:
-            self._contact[i] = False
-            return 0.0
-        if not self._contact[i]:
-            if foot.force < self._contact_on:
-                return 0.0
-            self._contact[i] = True
-            self._settled[i] = self._time + self._settling
-            self._anchor[i] = self._filter.state[0] + self.dynamics.sole_position[i]
-            self._anchor_yaw[i] = foot.yaw
-        return foot.force - self._contact_off
+    def _level(self, share: tuple[float, float]) -> None:
+        """Turn the attitude by what the accelerometer measures too much, about the feet."""
+        state, dynamics = self._filter.state, self.dynamics
+        bx, by, _ = state[BIAS].tolist()
+        g = dynamics.gravity
+        x, y = by / g, -bx / g
+        state[BIAS, :2] = 0.0
+        if not self._attitude.tilt(tuple((np.array((x, y, 0.0)) @ dynamics.rotation).tolist())):
+            return
+        px, py, pz = (share[0] * dynamics.sole_position[0] + share[1] * dynamics.sole_position[1]).tolist()
+        state[POSITION] -= (y * pz, -x * pz, x * py - y * px)
 
-    def _cop(self, base: FloatArray, feet: list[_Foot]) -> FloatArray:
+    def _cop(self, base: FloatArray) -> FloatArray:
         """(2,) centre of pressure of both feet in odom [m]; NaN without contact."""
-        left, right = (foot.force if contact else 0.0 for foot, contact in zip(feet, self._contact, strict=True))
+        left, right = (foot.force if foot.touching else 0.0 for foot in self._feet)
         total = left + right
         if total <= 0.0:
             return np.full(2, np.nan)
         left, right = left / total, right / total
-        (lx, ly), (rx, ry) = feet[0].place, feet[1].place
-        return np.array((base[0] + left * lx + right * rx, base[1] + left * ly + right * ry))
+        (lx, ly, _), (rx, ry, _) = self._feet[0].cop, self._feet[1].cop
+        (ax, ay, _), (bx, by, _) = self.dynamics.sole_position.tolist()
+        return np.array(
+            (base[0] + left * (ax + lx) + right * (bx + rx), base[1] + left * (ay + ly) + right * (by + ry))
+        )
 
 
-class _Foot(NamedTuple):
-    """A foot in one period, in odom's axes."""
-
-    force: float  # vertical [N]
-    cop: Vector  # centre of pressure from the sole's origin [m]
-    place: tuple[float, float]  # of the centre of pressure, from the pelvis [m]
-    yaw: float  # of the sole [rad]
-
-
-def _velocity_at(linear: list[float], angular: list[float], place: Vector) -> Vector:
-    """Of a point of a body: v + ω×r."""
+def _away(linear: list[float], angular: list[float], place: Vector) -> Vector:
+    """The velocity of a body from its point at ``place``: −(v + ω×r)."""
     (vx, vy, vz), (wx, wy, wz), (x, y, z) = linear, angular, place
-    return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
+    return wz * y - wy * z - vx, wx * z - wz * x - vy, wy * x - wx * y - vz

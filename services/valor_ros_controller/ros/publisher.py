@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovariance, TwistWithCovariance, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -53,15 +53,16 @@ PUBLICATIONS: tuple[Publication, ...] = (
 RATES = {publication.name: publication.rate for publication in PUBLICATIONS}
 TOPICS = {publication.name: publication.topics for publication in PUBLICATIONS}
 
-# What is not estimated is said to be unknown by a large variance, as robot_localization and others take it. The pose
-# drifts with the leg odometry; the twist does not.
-_POSE_VARIANCE = (1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-2)  # x, y, z [m²]; roll, pitch, yaw [rad²]
-_TWIST_VARIANCE = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
-
 
 def _diagonal(variances: tuple[float, ...]) -> Vector:
     """Row-major covariance."""
     return np.diag(variances).ravel()
+
+
+def _diagonal_view(message: PoseWithCovariance | TwistWithCovariance) -> Vector:
+    """(6,) the diagonal of a message's covariance, to write to."""
+    view: Vector = message.covariance[::7]
+    return view
 
 
 class Publisher:
@@ -122,8 +123,10 @@ class Publisher:
         self._odom_message.header.stamp = stamp
         self._odom_message.header.frame_id = ODOM
         self._odom_message.pose.pose = self._pose_message.pose
-        self._odom_message.pose.covariance = _diagonal(_POSE_VARIANCE)
-        self._odom_message.twist.covariance = _diagonal(_TWIST_VARIANCE)
+        # The Motion Manager's estimator says how sure it is; the gyroscope's noise is the IMU's.
+        self._pose_variance = _diagonal_view(self._odom_message.pose)
+        self._twist_variance = _diagonal_view(self._odom_message.twist)
+        self._twist_variance[3:] = noise.gyroscope**2
 
         # Work is spread over cycles: the n-th of these begins in the n-th cycle.
         self._due: list[tuple[int, int, Callable[[ValorEscherHWInterface], None]]] = []
@@ -205,6 +208,9 @@ class Publisher:
         linear = _into(motion.pelvis_orientation_in_odom, motion.pelvis_linear_velocity_in_odom)
         twist.linear.x, twist.linear.y, twist.linear.z = linear
         twist.angular.x, twist.angular.y, twist.angular.z = motion.pelvis_angular_velocity_in_pelvis.tolist()
+        self._pose_variance[:3] = motion.pelvis_position_variance
+        self._pose_variance[3:] = motion.pelvis_orientation_variance
+        self._twist_variance[:3] = motion.pelvis_linear_velocity_variance
         self._odom.publish(self._odom_message)
 
     def _publish_transforms(self, hw: ValorEscherHWInterface) -> None:

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from motion_manager.whole_body import FloatingBaseEstimator, RobotState, rotation
+from motion_manager.whole_body.attitude import LARGEST_LEVEL, Attitude
 from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.estimator import Attitude
+from motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, OdometryFilter
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop
 from tests.unit.whole_body.conftest import FloatArray
 from valor_common.messages import Proprioceptor
-from valor_common.model import Model
+from valor_common.model import Model, controller_model
 from valor_common.robot import RobotDescription
 
 
@@ -179,14 +181,198 @@ def test_heading_drift_of_the_imu_is_held_by_the_feet(
 
 def test_attitude_filter_takes_the_gyroscopes_motion_and_the_imus_level() -> None:
     rng = np.random.default_rng(5)
-    attitude = Attitude(0.02, rotation.IDENTITY)
-    attitude.reset(rotation.IDENTITY)
+    attitude = Attitude(0.1, rotation.IDENTITY)
+    attitude.reset(rotation.IDENTITY, (0.0, 0.0, 0.1))
     truth, dt, deviations = rotation.IDENTITY, 0.002, []
     for k in range(3000):
         rate = np.array((0.5 * np.sin(0.01 * k), 0.3 * np.cos(0.02 * k), 0.1))
         truth = rotation.quaternion(rotation.multiply(truth, rotation.small(*(rate * dt).tolist())))
         noisy = rotation.multiply(truth, rotation.small(*rng.normal(scale=0.002, size=3).tolist()))
-        attitude.update(noisy, rate + rng.normal(scale=0.005, size=3), dt)
+        x, y, z = (rate + rng.normal(scale=0.005, size=3)).tolist()
+        attitude.update(noisy, (x, y, z), dt)
         w, *_ = rotation.multiply(rotation.conjugate(truth), attitude.orientation)
         deviations.append(2.0 * np.arccos(min(1.0, abs(w))))
     assert np.sqrt(np.mean(np.square(deviations))) < 0.0007  # of 0.0035 that the IMU's own has
+
+
+def test_no_imu_is_believed_to_be_mounted_askew() -> None:
+    attitude = Attitude(0.1, rotation.IDENTITY)
+    attitude.reset(rotation.IDENTITY, (0.0, 0.0, 0.0))
+    taken = [attitude.tilt((0.001, 0.0, 0.0)) for _ in range(100)]
+    assert taken == sorted(taken, reverse=True)  # until the limit, then no more
+    w, x, *_ = attitude.orientation
+    assert LARGEST_LEVEL - 0.0015 < 2.0 * np.arctan2(x, w) <= LARGEST_LEVEL
+
+
+def test_an_imu_that_is_off_level_is_found_out_by_gravity(
+    robot: RobotDescription, model: Model, measured: Proprioceptor
+) -> None:
+    """Standing still: the IMU's attitude is 5 mrad off, its accelerometer is not."""
+    estimator = FloatingBaseEstimator(robot, model)
+    off = rotation.small(0.004, -0.003, 0.0)
+    wrong = np.array(rotation.multiply(rotation.quaternion(measured.imu_orientation), off))
+    tilts = []
+    for k in range(3000):
+        noticed = msgspec.structs.replace(with_forces(measured, 370.0, 370.0, k * 2_000_000), imu_orientation=wrong)
+        tilts.append(estimator.update(noticed).pelvis_rotation_in_odom[2].copy())
+    truth = np.zeros((3, 3))
+    rotation.matrix(rotation.quaternion(measured.imu_orientation), truth)
+    assert np.linalg.norm(tilts[0] - truth[2]) == pytest.approx(0.005, rel=0.02)
+    assert np.linalg.norm(tilts[-1] - truth[2]) < 0.0008
+
+
+def test_real_time_between_proprioceptors_counts(robot: RobotDescription) -> None:
+    """A third of the Proprioceptors lost, in gaps of up to 16 ms, during a push: hardly any worse for it."""
+    loop = ClosedLoop(robot, "hardware", 3)
+    loop.settle(0.3)
+    loop.run(1.0)
+    loop.plant.push(np.array((12.0, 8.0, 0.0)), 0.1)
+    log: list[tuple[Proprioceptor, FloatArray]] = []
+    measure = loop.sensors.measure
+
+    def recorded(sequence: int, time: int) -> Proprioceptor:
+        proprioceptor = measure(sequence, time)
+        log.append((proprioceptor, loop.plant.data.qvel[:3].copy()))
+        return proprioceptor
+
+    loop.sensors.measure = recorded  # type: ignore[method-assign]
+    loop.run(1.5)
+    rng = np.random.default_rng(1)
+    keep = rng.random(len(log)) > 0.25
+    for k in rng.integers(100, len(log), 12):
+        keep[k : k + rng.integers(3, 8)] = False
+    keep[:100] = True
+    assert keep.sum() < 0.78 * len(log)
+    errors = []
+    for kept in (np.ones(len(log), dtype=bool), keep):
+        estimator = FloatingBaseEstimator(robot, controller_model(robot))
+        error = [
+            estimator.update(proprioceptor).pelvis_linear_velocity_in_odom - velocity
+            for (proprioceptor, velocity), seen in zip(log, kept, strict=True)
+            if seen
+        ]
+        errors.append(np.sqrt(np.mean(np.square(error[100:]), axis=0)).max())
+    assert errors[1] < 1.5 * errors[0] + 0.002
+    assert errors[1] < 0.015
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_walking_it_knows_where_it_is_and_how_well(robot: RobotDescription, seed: int) -> None:
+    """Seven steps at up to 0.4 m/s: odometry's error stays below 1 % of the way, and within what it says of itself."""
+    loop = ClosedLoop(robot, "hardware", seed)
+    loop.settle(0.3)
+    loop.run(2.0)
+    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+    start, believed = loop.plant.data.qpos[:3].copy(), loop.state.pelvis_position_in_odom
+    before = loop.state.pelvis_position_variance
+    tilts = []
+    while loop.time < 8.0:
+        source.command(np.array((0.4, 0.0, 0.1)), loop.time)
+        source.advance(loop.time)
+        base = loop.plant.data.qpos[:7].copy()
+        loop.step()
+        turn = np.zeros((3, 3))
+        rotation.matrix(rotation.quaternion(base[3:7]), turn)
+        tilts.append(np.linalg.norm(loop.state.pelvis_rotation_in_odom[2] - turn[2]))
+    assert loop.fall is None
+    way = base[:3] - start
+    error = loop.state.pelvis_position_in_odom - believed - way
+    assert np.linalg.norm(way) > 1.2
+    assert np.linalg.norm(error) < 0.01 * np.linalg.norm(way)
+    grown = loop.state.pelvis_position_variance
+    assert (grown > before).all()
+    assert (np.abs(error) < 4.0 * np.sqrt(grown) + 0.004).all()  # 4 mm: of the lever between pelvis and heading
+    assert np.sqrt(np.mean(np.square(tilts))) < 0.002  # the IMU's own is 2 to 4 mrad off
+
+
+def test_a_foot_that_rolls_over_its_heel_moves_nothing(
+    robot: RobotDescription, model: Model, measured: Proprioceptor
+) -> None:
+    """The left foot turns about its heel by 10°, the right one flat: the pelvis and the heel stay."""
+    estimator = FloatingBaseEstimator(robot, model)
+    heel = robot.tables.feet.left.heel
+    ankle = robot.index["l_ankle_pitch"]
+    knee, hip = robot.index["l_knee_pitch"], robot.index["l_hip_pitch"]
+    right = np.array((0.0, 0.0, 370.0, 0.0, 0.0, 0.0))
+    left = np.array((0.0, 0.0, 370.0, 0.0, -heel * 370.0, 0.0))
+    first = state = estimator.update(with_forces(measured, 370.0, 370.0, 0))
+    for k in range(1, 100):
+        state = estimator.update(
+            msgspec.structs.replace(measured, time=k * 2_000_000, left_foot_wrench=left, right_foot_wrench=right)
+        )
+    start = place = state.sole_positions_in_odom[0] + state.sole_rotations_in_odom[0] @ (heel, 0.0, 0.0)
+    posture, kinematics = measured.joint_position.copy(), Dynamics(model)
+    places = kinematics.joints.places
+    fixed = state.pelvis_position_in_odom
+    for k in range(100, 600):
+        # The leg that keeps the pelvis while the sole turns about its heel, toes up: Newton steps on three joints.
+        angle = -np.radians(10.0) * (k - 100) / 500
+        for _ in range(3):
+            kinematics.update(
+                rotation.quaternion(first.pelvis_orientation_in_odom), np.zeros(3), posture[places], np.zeros(27)
+            )
+            here = kinematics.sole_position[0] + kinematics.sole_rotation[0] @ (heel, 0.0, 0.0) + fixed
+            pitch = -np.arcsin(kinematics.sole_rotation[0][2, 0])
+            error = np.array((*(start - here)[[0, 2]], angle - pitch))
+            rows = kinematics.jacobian[12:18][:, 6:]
+            lever = kinematics.sole_rotation[0] @ (heel, 0.0, 0.0)
+            linear = rows[:3] + np.cross(rows[3:].T, lever).T
+            columns = [j - robot.index["l_hip_yaw"] for j in (hip, knee, ankle)]
+            step = np.linalg.solve(np.vstack((linear[[0, 2]], rows[4]))[:, columns], error)
+            posture[[hip, knee, ankle]] += step
+        state = estimator.update(
+            msgspec.structs.replace(
+                measured, time=k * 2_000_000, joint_position=posture.copy(), left_foot_wrench=left,
+                right_foot_wrench=right,
+            )
+        )  # fmt: skip
+    place = state.sole_positions_in_odom[0] + state.sole_rotations_in_odom[0] @ (heel, 0.0, 0.0)
+    assert state.sole_rotations_in_odom[0][2, 0] > 0.15  # it has turned
+    assert np.linalg.norm(place - start) < 0.002
+    assert np.linalg.norm(state.pelvis_position_in_odom - fixed) < 0.002  # the sole's origin has risen by 17 mm
+
+
+def test_a_slipping_foot_is_not_believed(robot: RobotDescription, model: Model, measured: Proprioceptor) -> None:
+    """The left foot slips aside by 8 cm within half a second, lightly loaded: the right one keeps the pelvis."""
+    estimator = FloatingBaseEstimator(robot, model)
+    state = estimator.update(with_forces(measured, 370.0, 370.0, 0))
+    for k in range(1, 500):
+        state = estimator.update(with_forces(measured, 140.0, 600.0, k * 2_000_000))
+    before = state
+    assert state.contact_probability.min() > 0.9
+    least = 1.0
+    for k in range(500, 750):
+        posture, velocity = measured.joint_position.copy(), measured.joint_velocity.copy()
+        posture[robot.index["l_hip_roll"]] += 0.1 * (k - 500) / 250
+        velocity[robot.index["l_hip_roll"]] = 0.2
+        moved = msgspec.structs.replace(measured, joint_position=posture, joint_velocity=velocity)
+        state = estimator.update(with_forces(moved, 140.0, 600.0, k * 2_000_000))
+        least = min(least, float(state.contact_probability[0]))
+    moved_foot = state.sole_positions_in_odom[0] - before.sole_positions_in_odom[0]
+    assert moved_foot[1] > 0.07
+    assert least < 0.9
+    assert np.linalg.norm(state.pelvis_position_in_odom - before.pelvis_position_in_odom) < 0.01
+
+
+def test_the_filters_covariance_stays_one(robot: RobotDescription) -> None:
+    """Symmetric and positive after twenty thousand periods of irregular length, footholds and absences."""
+    rng = np.random.default_rng(0)
+    odometry = OdometryFilter(robot.tables.estimator)
+    soles = np.array(((0.0, 0.1, -0.8), (0.0, -0.1, -0.8)))
+    odometry.reset(np.zeros(3), soles, np.zeros(3))
+    variances = np.array((4e-6, 4e-6, 4e-4, 4e-4))
+    for k in range(20_000):
+        odometry.predict(rng.normal(scale=0.3, size=3), 0.002 * rng.integers(1, 4), (1e-8, 1e-8))
+        if k % 400 == 0:
+            odometry.place(k // 400 % 2, soles[0], 1e-6)
+        swinging = k // 200 % 3
+        seen = variances.copy()
+        if swinging < 2:
+            seen[swinging] = seen[2 + swinging] = NOTHING
+        noise = rng.normal(size=(4, 3)) * np.sqrt(variances)[:, None]
+        odometry.correct(np.vstack((odometry.state[FEET:] - odometry.state[0], np.zeros((2, 3)))) + noise, seen)
+    covariance = odometry.covariance
+    assert covariance.shape == (SIZE, SIZE)
+    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert np.abs(odometry.state[1]).max() < 0.05
