@@ -104,7 +104,7 @@ class ClosedLoop:
         if not self._started:
             self.controller.reset(state)
             self._started = True
-        reason = self.detector.update(state)
+        reason = self.detector.update(state, self.controller.footholds(state))
         self.command = command = self.controller.update(state, self.reference, self.robot.control_period)
         self.tick_times.append(perf_counter() - began)
         if reason is not None and self.fall is None:
