@@ -7,6 +7,8 @@ CoP limit, unilaterality and friction are all of ρ ≥ 0 (Koolen et al. 2016, s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from motion_manager.whole_body.state import FloatArray
@@ -52,17 +54,17 @@ class FootContacts:
         generators = np.array([sole_generators(points, table.friction).T for points in self.points])
         self._in_sole = generators.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3).copy()  # foot, force|torque
         self._in_odom = np.zeros((2, GENERATORS, 6))
+        self._vertical = self._in_odom[:, :, 2]
         self._parts = self._in_odom.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3)
 
-    def upper(self, load: FloatArray, weight: float) -> FloatArray:
+    def upper(self, load: Sequence[float], weight: float) -> FloatArray:
         """(32,) upper bounds of the generators [N].
 
         Args:
-            load: (2,) how much each foot may push: 0 not at all, 1 as it likes.
+            load: how much each foot may push: 0 not at all, 1 as it likes.
             weight: of the robot [N].
         """
-        limit = np.where(load < 1.0, load * (weight / POINTS), UNBOUNDED)
-        return np.repeat(limit, GENERATORS)
+        return np.repeat([share * (weight / POINTS) if share < 1.0 else UNBOUNDED for share in load], GENERATORS)
 
     def update(self, sole_jacobian: FloatArray, sole_rotation: FloatArray) -> None:
         """Turn the generators with the soles.
@@ -77,5 +79,5 @@ class FootContacts:
 
     def vertical_forces(self, rho: FloatArray) -> FloatArray:
         """(2,) vertical force of each foot [N]."""
-        vertical = self._in_odom[:, :, 2].ravel() * rho
-        return np.array((vertical[:GENERATORS].sum(), vertical[GENERATORS:].sum()))
+        forces: FloatArray = np.vecdot(self._vertical, rho.reshape(2, GENERATORS))
+        return forces

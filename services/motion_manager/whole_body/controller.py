@@ -90,6 +90,7 @@ class WholeBodyController:
             np.concatenate((self._limits.effort, np.zeros(joints.count))),
         )
         self._stance = Stance(table.stance_stiffness)
+        self._load = (1.0, 1.0)
         self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
         self._integrated = np.array([robot.tables.joints[name].control != "force" for name in joints.names])
         self._integrated_places = np.arange(self._count)[joints.places][self._integrated]
@@ -153,9 +154,9 @@ class WholeBodyController:
         np.copyto(velocity, self._velocity, where=self._integrated)
         wanted = reference.position[places].copy()
         self._upper_body.update(wanted)
-        self.pelvis.advance(1e-9 * state.time)
+        self.pelvis.advance(1e-9 * state.time, dt)
         self._step(state, dt)
-        self._reference.update(state, (self._gait.dcm, self._gait.vrp) if self._gait.active else None)
+        self._reference.update(state, dt, (self._gait.dcm, self._gait.vrp) if self._gait.active else None)
         self._operational_tasks(state, dt)
         self._posture_tasks(position, velocity, wanted, reference)
         n = self._joints.count
@@ -177,7 +178,10 @@ class WholeBodyController:
         elif self.step_source is not None and self.pelvis.resting:
             gait.start(state, self.step_source, reference.centre_dcm, reference.centre_vrp)
         self._objective.swing(gait.swinging, self._walking.foot_weight)
-        self._qp.rho_upper = self._contacts.upper(gait.load, self._weight)
+        left, right = gait.load.tolist()
+        if (left, right) != self._load:
+            self._load = (left, right)
+            self._qp.limit_forces(self._contacts.upper(self._load, self._weight))
 
     def _swing_task(self, state: RobotState, velocity: FloatArray) -> None:
         """The swinging sole: a_ref + k_p·(x_ref − x) + k_d·(v_ref − v)."""

@@ -223,9 +223,11 @@ class FloatingBaseEstimator:
         g = dynamics.gravity
         x, y = by / g, -bx / g
         state[BIAS, :2] = 0.0
-        if not self._attitude.tilt(tuple((np.array((x, y, 0.0)) @ dynamics.rotation).tolist())):
+        first, second, _ = dynamics.rotation.tolist()
+        a, b, c = (x * u + y * v for u, v in zip(first, second, strict=True))
+        if not self._attitude.tilt((a, b, c)):
             return
-        px, py, pz = (share[0] * dynamics.sole_position[0] + share[1] * dynamics.sole_position[1]).tolist()
+        px, py, pz = (np.array(share) @ dynamics.sole_position).tolist()
         state[POSITION] -= (y * pz, -x * pz, x * py - y * px)
 
     def _cop(self, base: FloatArray) -> FloatArray:

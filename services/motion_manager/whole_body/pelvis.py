@@ -63,11 +63,11 @@ class PelvisReference:
             np.repeat((table.max_speed, table.max_turn_rate), 3),
             np.repeat((table.max_acceleration, table.max_turn_acceleration), 3),
         )
-        self._dt = robot.control_period
         self._legs = LegKinematics(model, joints, leg_places)
         self._everywhere = np.ones(6, dtype=bool)
         self._target, self._rate = self.home.copy(), np.zeros(6)
         self._led_at = -np.inf
+        self._still = False
         self.reset()
 
     @property
@@ -100,6 +100,7 @@ class PelvisReference:
         self._limiter.velocity = np.zeros(6)
         self._take()
         self._legs.reset()
+        self._still = False
         self.angular_velocity = np.zeros(3)
 
     def go_home(self) -> None:
@@ -108,25 +109,30 @@ class PelvisReference:
         self._target = self.home.copy()
         self._target[HEIGHT] = height
         self._rate = np.zeros(6)
+        self._still = False
 
     def lead(self, position: FloatArray, velocity: FloatArray, time: float) -> None:
         """Follow (6,) a place within the limits, which moves with ``velocity`` (6,), from robot time ``time`` [s]."""
         self._target, self._rate, self._led_at = position, velocity, time
+        self._still = False
 
-    def advance(self, now: float) -> None:
-        """Go one control period, at robot time ``now`` [s]."""
+    def advance(self, now: float, dt: float) -> None:
+        """Go on by ``dt`` [s], until robot time ``now`` [s]."""
+        if self._still:
+            return
         age = min(max(0.0, now - self._led_at), HORIZON)
         fresh = now - self._led_at < HORIZON
         limiter = self._limiter
         before, turned = limiter.position, self.rotation
-        limiter.advance(self._target + age * self._rate, self._rate if fresh else np.zeros(6), self._dt)
+        limiter.advance(self._target + age * self._rate, self._rate if fresh else np.zeros(6), dt)
         if not (limiter.position != before).any():
             if not self._legs.solved:
                 self._legs.update(before, self.rotation)
             self.angular_velocity = np.zeros(3)
+            self._still = self._legs.solved and not fresh and not limiter.velocity.any()
             return
         self._take()
-        self.angular_velocity = rotation.error(self.rotation, turned) / self._dt
+        self.angular_velocity = rotation.error(self.rotation, turned) / dt
         self._legs.update(limiter.position, self.rotation)
 
     def _take(self) -> None:

@@ -1,7 +1,8 @@
 """The QP of a control period: contact forces and accelerations, solved by DAQP in the reduced form.
 
 DAQP (Arnström, Bemporad & Axehill 2022) is a dual active-set method; it is called natively. Limits of joints join the
-problem only when its solution without them breaks them, one round after another until none is broken.
+problem only when its solution without them breaks them, one round after another until none is broken. A foot that shall
+not push is no part of the problem at all.
 """
 
 from __future__ import annotations
@@ -42,11 +43,7 @@ class Solution:
 
 
 class ContactForceQp:
-    """Solves for contact forces and accelerations.
-
-    Attributes:
-        rho_upper: (nρ,) upper bounds [N]; 0 for the generators of a foot that shall not push.
-    """
+    """Solves for contact forces and accelerations."""
 
     def __init__(self, generators: int, joint_damping: FloatArray) -> None:
         """A problem with nothing bound.
@@ -55,13 +52,20 @@ class ContactForceQp:
             generators: nρ.
             joint_damping: (nj,) viscous [N·m·s/rad].
         """
-        self._count = generators
+        self._generators = generators
         self._damping = joint_damping
         self._joints = len(joint_damping)
-        self._lower = np.zeros(generators)
         self._none = np.zeros(0, dtype=np.intp)
         self._values = np.zeros(2 * self._joints)
-        self.rho_upper = np.full(generators, UNBOUNDED)
+        self.limit_forces(np.full(generators, UNBOUNDED))
+
+    def limit_forces(self, upper: FloatArray) -> None:
+        """From now on: (nρ,) upper bounds [N]; 0 for the generators of a foot that shall not push."""
+        pushing = np.flatnonzero(upper)  # contiguous, as each foot's are
+        self._pushing = slice(int(pushing[0]), int(pushing[-1]) + 1) if pushing.size else slice(None)
+        self._upper = upper[self._pushing]
+        self._lower = np.zeros(self._upper.size)
+        self._no_rows = np.empty((0, self._upper.size))
 
     def solve(self, objective: Objective, dynamics: Dynamics, forces: FloatArray, bounds: Bounds) -> Solution:
         """Solve.
@@ -75,7 +79,8 @@ class ContactForceQp:
         Raises:
             UnsolvableError: numbers that are not finite, limits that cross, or the solver gave up.
         """
-        mass, bias, n = dynamics.mass_matrix, dynamics.bias, self._joints
+        mass, bias, n, pushing = dynamics.mass_matrix, dynamics.bias, self._joints, self._pushing
+        forces = forces[pushing]
         offset = bias[6:] + self._damping * dynamics.joint_velocity
         elimination = Elimination(objective.hessian, objective.gradient)
         values, joined = self._values, self._none
@@ -84,28 +89,36 @@ class ContactForceQp:
             limit = self._limit(mass, offset, forces, joined) if joined.size else None
             reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
             z = self._minimum(reduced, bounds, joined)
-            acceleration, rho = reduced.acceleration(z), z[: self._count]
-            torque = mass[6:] @ acceleration + offset - rho @ forces[:, 6:]
+            acceleration, pushes = reduced.acceleration(z), z[: self._upper.size]
+            torque = mass[6:] @ acceleration
+            torque += offset
+            torque -= pushes @ forces[:, 6:]
             values[:n] = torque
             values[n:] = acceleration[6:]
             if (values <= upper).all() and (values >= lower).all():
                 status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
-                return Solution(acceleration, rho, torque, status, joined)
+                return Solution(acceleration, self._all(pushes), torque, status, joined)
             if not np.isfinite(values).all():
                 raise UnsolvableError("the solution is not finite")
             broken = (values > upper) | (values < lower)
             broken[joined] = False  # what is left there is round-off
             if not broken.any():
-                return Solution(acceleration, rho, torque, QpStatus.LIMITED, joined)
+                return Solution(acceleration, self._all(pushes), torque, QpStatus.LIMITED, joined)
             joined = np.concatenate((joined, np.flatnonzero(broken)))
         raise UnsolvableError(f"limits of joints kept breaking after {ROUNDS} rounds")
+
+    def _all(self, pushes: FloatArray) -> FloatArray:
+        """(nρ,) of both feet."""
+        rho = np.zeros(self._generators)
+        rho[self._pushing] = pushes
+        return rho
 
     def _limit(self, mass: FloatArray, offset: FloatArray, forces: FloatArray, joined: npt.NDArray[np.intp]) -> Limit:
         n = self._joints
         rows, constant, effect = (
             np.zeros((joined.size, n + 6)),
             np.zeros(joined.size),
-            np.zeros((joined.size, self._count)),
+            np.zeros((joined.size, self._upper.size)),
         )
         torques, accelerations = joined < n, joined >= n
         joint = joined[torques]
@@ -116,11 +129,12 @@ class ContactForceQp:
         return Limit(rows, constant, effect)
 
     def _minimum(self, reduced: Reduced, bounds: Bounds, joined: npt.NDArray[np.intp]) -> FloatArray:
-        lower, upper = self._lower, self.rho_upper
+        lower, upper, rows = self._lower, self._upper, self._no_rows
         if joined.size:
             lower = np.concatenate((lower, bounds.lower[joined]))
             upper = np.concatenate((upper, bounds.upper[joined]))
-        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, np.empty((0, upper.size)), upper, lower)
+            rows = np.empty((0, upper.size))
+        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, rows, upper, lower)
         if flag < 1:
             raise UnsolvableError(f"DAQP ended with flag {flag}")
         minimum: FloatArray = z

@@ -36,18 +36,15 @@ class Follower:
         state: (3, 3) rows x, ẋ [1/s], ẍ [1/s²]; columns the components.
     """
 
-    def __init__(self, bandwidth: float, dt: float) -> None:
+    def __init__(self, bandwidth: float) -> None:
         """At rest at the origin.
 
         Args:
             bandwidth: ω [rad/s].
-            dt: of an update [s].
         """
-        w = bandwidth
-        acceleration = np.array((-w * w, -2.0 * w, 0.0))
-        rate = np.array((0.0, 1.0, 0.0)) + dt * acceleration
-        self._transition = np.stack((np.array((1.0, 0.0, 0.0)) + dt * rate, rate, acceleration))
-        self._input = w * w * np.array(((dt * dt,), (dt,), (1.0,)))
+        self._bandwidth = bandwidth
+        self._dt = 0.0
+        self._transition, self._input = np.eye(3), np.zeros((3, 1))
         self.state = np.zeros((3, 3))
 
     def reset(self, value: FloatArray) -> None:
@@ -55,10 +52,20 @@ class Follower:
         self.state[:] = 0.0
         self.state[0] = value
 
-    def update(self, target: FloatArray) -> None:
-        """Follow u = ``target`` (3,) for one period."""
+    def update(self, target: FloatArray, dt: float) -> None:
+        """Follow u = ``target`` (3,) for ``dt`` [s], which is short beside 1/ω."""
+        if dt != self._dt:
+            self._set_period(dt)
         self.state = self._transition @ self.state
         self.state += self._input * target
+
+    def _set_period(self, dt: float) -> None:
+        w = self._bandwidth
+        acceleration = np.array((-w * w, -2.0 * w, 0.0))
+        rate = np.array((0.0, 1.0, 0.0)) + dt * acceleration
+        self._dt = dt
+        self._transition = np.stack((np.array((1.0, 0.0, 0.0)) + dt * rate, rate, acceleration))
+        self._input = w * w * np.array(((dt * dt,), (dt,), (1.0,)))
 
 
 class StandReference:
@@ -75,7 +82,7 @@ class StandReference:
 
     def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics, pelvis: PelvisReference) -> None:
         robot = model.robot
-        table, dt = robot.tables.whole_body, robot.control_period
+        table = robot.tables.whole_body
         self._upper_body = upper_body
         self._led = pelvis
         self._omega = omega
@@ -88,10 +95,9 @@ class StandReference:
         centres = [((foot.heel + foot.toe) / 2.0, 0.0, 0.0) for foot in (feet.left, feet.right)]
         self._centres = np.array(centres)[:, :, None]
         self._height = np.array((0.0, 0.0, upper_body.nominal_com_height))
-        self._dt = dt
-        self._support_gain = table.support_bandwidth * dt
+        self._support_bandwidth = table.support_bandwidth
         self._support = np.zeros(3)
-        self._shift = Follower(table.com_shift_bandwidth, dt)
+        self._shift = Follower(table.com_shift_bandwidth)
         # DCM x + ẋ/ω and VRP x − ẍ/ω² of a CoM x
         self._points = np.array(((1.0, 1.0 / omega, 0.0), (1.0, 0.0, -1.0 / (omega * omega))))
         self._time = 0.0
@@ -117,21 +123,22 @@ class StandReference:
         chest = level @ self._upper_body.chest_rotation()
         self._chest_offset = rotation.rotation_vector(state.dynamics.chest_rotation @ chest.T)
 
-    def update(self, state: RobotState, gait: tuple[FloatArray, FloatArray] | None = None) -> None:
+    def update(self, state: RobotState, dt: float, gait: tuple[FloatArray, FloatArray] | None = None) -> None:
         """Go on by one period; ``upper_body`` is at the commanded posture.
 
         Args:
             state: the estimate.
+            dt: since the last [s].
             gait: (3,) DCM and (3,) VRP of the gait while the robot steps; None: it stands.
         """
-        self._time += self._dt
+        self._time += dt
         level = _level(state)
-        self._shift.update(self._clipped_shift(level))
+        self._shift.update(self._clipped_shift(level), dt)
         self.pelvis = level @ self._led.rotation
         self.chest = self.pelvis @ self._upper_body.chest_rotation()
         self.turning = level @ self._led.angular_velocity
         self.legs_blend = 1.0
-        self._support = self._support + (self._support_centre(state) - self._support) * self._support_gain
+        self._support = self._support + (self._support_centre(state) - self._support) * (self._support_bandwidth * dt)
         self.centre_dcm = self.centre_vrp = self._support
         if self._time < self._duration:
             self._blend_in(*minimum_jerk(self._time, self._duration))

@@ -100,10 +100,18 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
 
 def from_rotation_vector(vector: FloatArray) -> FloatArray:
     """(3, 3) rotation by a rotation vector [rad] (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
+    x, y, z = vector.tolist()
+    angle = sqrt(x * x + y * y + z * z)
     if angle < 1e-12:
         return np.eye(3)
-    x, y, z = vector / angle
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    result: FloatArray = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
-    return result
+    x, y, z = x / angle, y / angle, z / angle
+    s, c = sin(angle), cos(angle)
+    t = 1.0 - c
+    tx, ty, tz = t * x, t * y, t * z
+    return np.array(
+        (
+            (c + tx * x, tx * y - s * z, tx * z + s * y),
+            (tx * y + s * z, c + ty * y, ty * z - s * x),
+            (tx * z - s * y, ty * z + s * x, c + tz * z),
+        )
+    )

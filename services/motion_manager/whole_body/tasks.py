@@ -47,6 +47,7 @@ class Objective:
         weights[CHEST] = weights[PELVIS] = table.orientation_weight
         weights[SOLES] = table.foot_weight
         self._foot_root = sqrt(table.foot_weight)
+        self._swinging: tuple[int | None, float] = (None, 0.0)
         self._root = np.sqrt(weights)
         self._root_column = self._root[:, None].copy()
         posture = np.zeros(joints.count)
@@ -69,6 +70,9 @@ class Objective:
 
     def swing(self, foot: int | None, weight: float) -> None:
         """The foot that swings from now on (0 left, 1 right; None: neither), and its task's weight."""
+        if (foot, weight) == self._swinging:
+            return
+        self._swinging = (foot, weight)
         root = self._root
         root[SOLES] = self._foot_root
         if foot is not None:

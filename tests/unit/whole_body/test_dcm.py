@@ -80,18 +80,29 @@ def test_minimum_jerk_begins_and_ends_at_rest() -> None:
 
 def test_follower_follows_without_overshoot_and_knows_its_derivatives() -> None:
     dt = 0.002
-    follower = Follower(20.0, dt)
+    follower = Follower(20.0)
     follower.reset(np.array((1.0, -2.0, 0.0)))
     target = np.array((2.0, -2.0, 0.5))
     values = [follower.state.copy()]
     for _ in range(500):
-        follower.update(target)
+        follower.update(target, dt)
         values.append(follower.state.copy())
     states = np.array(values)
     np.testing.assert_allclose(states[-1, 0], target, atol=1e-4)
     assert (states[:, 0, 0] <= 2.0 + 1e-9).all()
     np.testing.assert_allclose(np.diff(states[:, 0], axis=0) / dt, states[1:, 1], atol=1e-9)
     np.testing.assert_allclose(np.diff(states[:, 1], axis=0) / dt, states[1:, 2], atol=1e-9)
+
+
+def test_a_follower_goes_by_time_and_not_by_updates() -> None:
+    target = np.array((0.05, 0.0, 0.0))
+    slow, fast = Follower(20.0), Follower(20.0)
+    for _ in range(30):
+        slow.update(target, 0.004)
+        for _ in range(4):
+            fast.update(target, 0.001)
+        np.testing.assert_allclose(slow.state[0], fast.state[0], atol=0.05 * 0.05)
+    assert 0.5 * target[0] < slow.state[0, 0] < target[0]
 
 
 def test_com_displacement_is_what_the_masses_say(robot: RobotDescription, model: Model) -> None:

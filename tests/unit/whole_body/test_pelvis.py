@@ -78,7 +78,7 @@ def test_a_distant_target_is_approached_within_the_limits(model: Model, pelvis: 
     pelvis.lead(np.array((0.05, -0.05, pelvis.lower[2], 0.15, -0.25, 0.25)), np.zeros(6), 0.0)
     seen = []
     for k in range(2000):
-        pelvis.advance(k * dt)
+        pelvis.advance(k * dt, dt)
         seen.append(np.concatenate((pelvis.position, pelvis.com_displacement)))
     velocity = np.diff(seen, axis=0) / dt
     acceleration = np.diff(velocity, axis=0) / dt
@@ -93,7 +93,7 @@ def test_the_handler_clamps(pelvis: PelvisReference) -> None:
     bench = Bench(pelvis, Behavior.STAND)
     assert bench.send(np.array((1.0, -1.0, 0.0, 3.0, -3.0, 3.0)))
     for k in range(2000):
-        pelvis.advance(5.0 + 0.002 * k)
+        pelvis.advance(5.0 + 0.002 * k, 0.002)
     upper = [1, 0, 0, 1, 0, 1]
     np.testing.assert_allclose(pelvis.position, np.where(upper, pelvis.upper, pelvis.lower), atol=1e-9)
 
@@ -115,14 +115,14 @@ def test_the_handler_refuses_and_nothing_moves(
     bench = Bench(pelvis, *behaviors)
     assert not bench.send(position, age)
     assert reason in bench.reason()
-    pelvis.advance(5.0)
+    pelvis.advance(5.0, 0.002)
     np.testing.assert_array_equal(pelvis.position, pelvis.home)
 
 
 def test_the_height_is_led_while_the_robot_walks(pelvis: PelvisReference) -> None:
     bench = Bench(pelvis, Behavior.STAND, Behavior.WALK)
     assert bench.send(np.array((0.0, 0.0, 0.75, 0.0, 0.0, 0.0)))
-    pelvis.advance(5.0)
+    pelvis.advance(5.0, 0.002)
     assert pelvis.position[2] < pelvis.home[2]
     assert pelvis.resting
 
