@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
+from motion_manager.whole_body.walking.step_queue import StepQueue
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop
 from valor_common.robot import RobotDescription
@@ -47,6 +49,34 @@ def test_walks_and_comes_to_rest(robot: RobotDescription, velocity: tuple[float,
     assert np.abs(loop.plant.data.qvel[:3]).max() < 0.02
     soles = loop.state.sole_positions_in_odom
     assert np.linalg.norm(soles[0] - soles[1]) == pytest.approx(robot.tables.walking.step_width, abs=0.03)
+
+
+def test_climbs_stairs_step_over_step(robot: RobotDescription) -> None:
+    """Three steps of 15 cm, one foot on each."""
+    loop = ClosedLoop(robot, "hardware", 0, world="stairs_15cm")
+    loop.settle(0.3)
+    loop.run(1.5)
+    footholds = [(0.16, 0.0), (0.32, 0.0), (0.625, 0.15), (0.925, 0.3), (1.225, 0.45), (1.225, 0.45)]
+    queue = StepQueue()
+    queue.begin(
+        [
+            Step(i, foot, level_pose(x, 0.1 if foot == LEFT else -0.1, z, 0.0), 0.08, 1.0 if z else 0.6, 0.4)
+            for i, ((x, z), foot) in enumerate(zip(footholds, (LEFT, RIGHT) * 3, strict=True))
+        ]
+    )
+    loop.controller.step_source = queue
+    knees = [loop.robot.index[name] for name in ("l_knee_pitch", "r_knee_pitch")]
+    before, errors, knee = loop.plant.data.qpos[2], [], np.inf
+    while queue.running and loop.fall is None:
+        loop.step()
+        errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
+        knee = min(knee, float(loop.plant.joint_position[knees].min()))
+    assert loop.fall is None
+    assert queue.last_performed == 5
+    assert loop.command.qp_failures == 0
+    assert (np.sqrt((np.array(errors) ** 2).mean(axis=0)) < (0.015, 0.015, 0.035)).all()
+    assert knee > 0.3
+    assert loop.plant.data.qpos[2] - before == pytest.approx(0.45, abs=0.04)
 
 
 def test_standing_goes_over_into_stepping_without_a_jump(robot: RobotDescription) -> None:

@@ -13,7 +13,7 @@ from motion_manager.whole_body import rotation
 from motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose, reach_refusal
 from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingTrajectory
+from motion_manager.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingPoint, SwingTrajectory
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor_common.robot import RobotDescription
 
@@ -113,6 +113,56 @@ def test_a_swing_has_the_derivatives_it_claims(time: float) -> None:
     np.testing.assert_allclose((after.velocity - before.velocity) / (2 * DT), here.acceleration, atol=1e-2)
     turned = rotation.rotation_vector(after.rotation @ before.rotation.T) / (2 * DT)
     np.testing.assert_allclose(turned, here.velocity[3:], atol=1e-4)
+
+
+def climbing() -> SwingTrajectory:
+    """A swing up a step of 12 cm, with a turn: it peels off, turned by 0.48 rad at most."""
+    target = SolePose(np.array([0.4, 0.12, 0.12]), rotation.yaw_matrix(0.3))
+    return SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05, toe=0.15)
+
+
+def toe_of(point: SwingPoint) -> np.ndarray:
+    """(3,) of a sole in odom [m]."""
+    toe: np.ndarray = point.position + point.rotation @ np.array((0.15, 0.0, 0.0))
+    return toe
+
+
+def test_a_foot_that_goes_up_peels_off_over_its_toe() -> None:
+    swing = climbing()
+    flat = SwingTrajectory(
+        FEET[0], SolePose(np.array([0.4, 0.12, 0.12]), rotation.yaw_matrix(0.3)),
+        height=0.06, duration=0.6, depth=0.003, descent=0.05,
+    )  # fmt: skip
+    for time in np.linspace(0.0, 0.7, 36):
+        here, there = swing.at(time), flat.at(time)
+        assert here.rotation[2, 0] <= 1e-9  # toes never up
+        assert toe_of(here)[2] == pytest.approx(toe_of(there)[2], abs=1e-3)
+    assert swing.at(0.18).rotation[2, 2] == pytest.approx(cos(0.48), abs=1e-6)
+    np.testing.assert_allclose(swing.at(0.5).rotation[2], (0.0, 0.0, 1.0), atol=1e-6)
+    before = swing.at(0.1)
+    assert before.position[:2] == pytest.approx(FEET[0].position[:2])  # up before forward
+
+
+@given(st.floats(0.01, 0.44), st.floats(0.1, 0.5))
+def test_a_peeling_swing_has_the_derivatives_it_claims_and_is_retargeted_without_a_jump(
+    time: float, left: float
+) -> None:
+    swing = climbing()
+    joints = (0.12, 0.18, 0.3)  # where polynomials meet
+    if all(abs(time - joint) > 2 * DT for joint in joints):
+        before, here, after = swing.at(time - DT), swing.at(time), swing.at(time + DT)
+        np.testing.assert_allclose((after.position - before.position) / (2 * DT), here.velocity[:3], atol=1e-4)
+        np.testing.assert_allclose((after.velocity - before.velocity) / (2 * DT), here.acceleration, atol=2e-2)
+        turned = rotation.rotation_vector(after.rotation @ before.rotation.T) / (2 * DT)
+        np.testing.assert_allclose(turned, here.velocity[3:], atol=1e-4)
+    before = swing.at(time)
+    swing.retarget(time, level_pose(0.45, 0.1, 0.12, 0.3), time + left)
+    after = swing.at(time)
+    np.testing.assert_allclose(after.position, before.position, atol=1e-9)
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-9)
+    np.testing.assert_allclose(after.velocity, before.velocity, atol=1e-9)
+    np.testing.assert_allclose(after.acceleration, before.acceleration, atol=1e-7)
+    np.testing.assert_allclose(swing.at(time + left).rotation, rotation.yaw_matrix(0.3), atol=1e-6)
 
 
 @given(

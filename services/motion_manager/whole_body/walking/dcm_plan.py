@@ -65,13 +65,9 @@ class DcmPlan:
             dcm[i] = knots[i] + ahead + exp(-self._omega * duration) * (dcm[i + 1] - knots[i + 1] - ahead)
         return dcm
 
-    def dcm(self, time: float) -> FloatArray:
-        """(3,) DCM [m] at any ``time`` [s] since the start."""
-        piece, began = self._piece, self._began
-        self._piece, self._began = 0, 0.0
-        dcm, _ = self.at(time)
-        self._piece, self._began = piece, began
-        return dcm
+    def at_end(self, piece: int) -> tuple[FloatArray, FloatArray]:
+        """(3,) DCM and (3,) VRP [m] where a piece ends."""
+        return self._dcm[piece + 1], self.knots[piece + 1]
 
     def hold(self, piece: int) -> None:
         """Let no piece begin after this one: its VRP goes on resting where it ends, and the DCM moves away from it."""

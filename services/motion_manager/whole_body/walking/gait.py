@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body.state import RobotState
-from motion_manager.whole_body.walking.dcm_plan import FIRST, DcmPlan
+from motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from motion_manager.whole_body.walking.footsteps import LEFT, Step, StepSource
 from motion_manager.whole_body.walking.step_guard import StepGuard
 from motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
@@ -28,6 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 AHEAD = 3  # steps planned
 HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]
 QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon it grows to all of it below that
+SHORTEST_PIECE = 0.01  # of a plan [s]
 MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
 
 
@@ -48,6 +49,7 @@ class Gait:
         self._table, self._omega = robot.tables.walking, omega
         feet = robot.tables.feet
         self._centres = [np.array(((foot.heel + foot.toe) / 2.0, 0.0, 0.0)) for foot in (feet.left, feet.right)]
+        self._toes = (feet.left.toe, feet.right.toe)
         self._height = np.array((0.0, 0.0, com_height))
         self._source: StepSource
         self._step: Step | None = None
@@ -56,6 +58,7 @@ class Gait:
         self._trajectory: SwingTrajectory
         self._time = 0.0  # since the transfer began [s]
         self._transfer = 0.0  # duration of it [s]
+        self._resting = 0  # the plan's piece in which the VRP rests over the next stance foot
         self._early = 0.0  # that the last foot came down before its time [s]
         self._landed: int | None = None
         self.active = False
@@ -124,7 +127,7 @@ class Gait:
             self._source.began(steps[0])
         else:
             self._step = self.foothold = None
-            self._transfer = self._table.last_transfer_duration
+            self._transfer = self._table.last_transfer_duration + self._early
         soles = sole_poses(state)
         self._plan_dcm(soles, steps)
         if steps:
@@ -133,8 +136,8 @@ class Gait:
             self._guard.begin(
                 step,
                 soles[stance],
-                self._over(soles[stance], stance),
-                landing_dcm=self._plan.dcm(touchdown),
+                self._plan.at_end(self._resting)[1],
+                landing_dcm=self._plan.at_end(self._resting)[0],
                 touchdown=touchdown,
                 transfer=steps[1].transfer_duration if len(steps) > 1 else self._table.transfer_duration,
             )
@@ -142,13 +145,18 @@ class Gait:
     def _plan_dcm(self, soles: list[SolePose], steps: Sequence[Step]) -> None:
         """The VRP's knots over the soles as they stand and will stand, and the DCM through them."""
         durations, knots = [], [self.vrp]
+        early = self._early if self._early > SHORTEST_PIECE else 0.0
+        if early:  # the VRP stays for as long as it was to stay
+            durations.append(early)
+            knots.append(self.vrp)
+        first = len(durations)
         poses = list(soles)
         lowered = 0.0  # by what the step before asks for
         for i, step in enumerate(steps[:AHEAD]):
             stance = self._over(poses[1 - step.foot], 1 - step.foot)
             before, lowered = lowered, self._lowering(poses[1 - step.foot], step.sole)
             stance[2] -= max(before, lowered, self._lowering(poses[0], poses[1]) if i == 0 else 0.0)
-            transfer = self._transfer if i == 0 else step.transfer_duration
+            transfer = self._transfer - early if i == 0 else step.transfer_duration
             if i == 0 and self._landed is None:  # from rest: sway aside first
                 durations += [0.5 * transfer, 0.5 * transfer]
                 knots += [0.5 * (self.vrp + stance), stance]
@@ -163,12 +171,16 @@ class Gait:
             durations.append(self._table.last_transfer_duration)
             knots.append(rest)
         else:
-            durations += [0.5 * self._transfer, 0.5 * self._transfer]
+            half = 0.5 * (self._transfer - early)
+            durations += [half, half]
             knots += [0.5 * (self.vrp + rest), rest]
-        giving = FIRST if self._landed is None or not steps else slice(1, 3)  # the sway, or all over the next stance
+        from_rest = self._landed is None
+        self._resting = first + (2 if from_rest else 1)
+        over_stance, sway = slice(self._resting, self._resting + 2), slice(first + 1, first + 2)
+        giving = sway if from_rest or not steps else over_stance
         self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm, giving)
         if steps:  # a foot that is late must be waited for
-            self._plan.hold(2 if self._landed is None else 1)
+            self._plan.hold(self._resting)
 
     def _over(self, sole: SolePose, foot: int) -> FloatArray:
         """(3,) the VRP over the middle of a sole, in odom [m]."""
@@ -204,6 +216,7 @@ class Gait:
             duration=step.swing_duration,
             depth=self._depth(step.swing_duration),
             descent=table.descent,
+            toe=self._toes[step.foot],
         )
 
     def _give_way(self, state: RobotState, dcm: FloatArray, step: Step) -> None:
@@ -237,7 +250,7 @@ class Gait:
         self._source.ended(step)
         self._landed, self.swinging = step.foot, None
         on_time = self._transfer + step.swing_duration
-        self._early = 0.0 if self._guard.adjusted else max(0.0, on_time - self._time)
+        self._early = max(0.0, on_time - self._time)
         self._begin_transfer(state, self._source.upcoming(sole_poses(state)))
 
     def _feet(self) -> None:

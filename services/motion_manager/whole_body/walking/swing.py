@@ -2,12 +2,14 @@
 
 What lies between the footholds is not known, but where one is higher than the other there is an edge somewhere, and
 it may be right before the toe or right behind the heel. So the foot goes up before it goes forward, and is there before
-it goes down: the more of it, the higher the step.
+it goes down: the more of it, the higher the step. It leaves the ground heel first then, turning about its toe: behind a
+body that climbs over the other leg, or sinks on it, a level foot would ask for more than the ankle's range.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, sin
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +21,9 @@ FloatArray = npt.NDArray[np.float64]
 SHORTEST_RISE = 0.01  # to the apex; with less left the foot goes down from where it is [s]
 HIGH_STEP = 0.1  # the height between footholds, up or down, from which on … [m]
 LIFT = 0.2  # … this share of the time the foot goes only up, or only down
+LANDING = 0.1  # and this share at the end it only comes down, going up
+PEEL, MOST_PEELED = 4.0, 0.5  # toes down, of the foot that leaves: per height between footholds [rad/m], at most [rad]
+PEELED, LEVEL = 0.3, 0.75  # of the time, when it is turned most, and when it is level again
 
 
 @dataclass(slots=True)
@@ -87,11 +92,47 @@ class Quintic:
         return result
 
 
-class SwingTrajectory:
-    """From rest to the ground: quintics in the plane and in orientation, and two, up and down, in height."""
+class Hump:
+    """By way of a peak, at rest there, to an end; straight to the end when the peak is over."""
 
     def __init__(
-        self, start: SolePose, target: SolePose, *, height: float, duration: float, depth: float, descent: float
+        self, begin: FloatArray, began: float, *, peak: tuple[float, float], end: tuple[float, float], velocity: float
+    ) -> None:
+        """Plan.
+
+        Args:
+            begin: (3, 1) position, velocity, acceleration at ``began``.
+            began: [s].
+            peak: position, and when it is there [s].
+            end: likewise.
+            velocity: with which it comes to the end.
+        """
+        there, when = peak
+        self._up: Quintic | None = None
+        if when - began > SHORTEST_RISE:
+            self._up = Quintic(begin, np.array((there,)), began, when - began)
+            begin, began = np.array(((there,), (0.0,), (0.0,))), when
+        self._down = Quintic(begin, np.array((end[0],)), began, max(end[1] - began, SHORTEST_RISE), velocity)
+
+    def at(self, time: float) -> FloatArray:
+        """(3, 1) position, velocity and acceleration at ``time`` [s]."""
+        up = self._up
+        return up.at(time) if up is not None and time < up.ends else self._down.at(time)
+
+
+class SwingTrajectory:
+    """From rest to the ground: quintics in the plane and in orientation, humps of them in height and in peeling."""
+
+    def __init__(
+        self,
+        start: SolePose,
+        target: SolePose,
+        *,
+        height: float,
+        duration: float,
+        depth: float,
+        descent: float,
+        toe: float = 0.0,
     ) -> None:
         """Plan.
 
@@ -102,17 +143,21 @@ class SwingTrajectory:
             duration: [s].
             depth: below the target, that the foot is led to [m].
             descent: speed at which it comes down there, and goes on down afterwards [m/s].
+            toe: ahead of the sole's origin, about which it peels off when it goes high or low; 0: it does not [m].
         """
-        self._depth, self._descent = depth, descent
+        self._depth, self._descent, self._toe = depth, descent, toe
         begin, end = float(start.position[2]), float(target.position[2])
         self._apex = max(begin, end) + height
         self._apex_time = 0.5 * duration
-        lift = LIFT * min(1.0, abs(end - begin) / HIGH_STEP)
-        self._departs = lift * duration if end > begin else 0.0
-        self._arrives = 1.0 - (lift if end < begin else 0.0)  # of the duration
+        step = min(1.0, abs(end - begin) / HIGH_STEP)
+        self._departs = LIFT * step * duration if end > begin else 0.0
+        self._arrives = 1.0 - step * (LIFT if end < begin else LANDING)  # of the duration
+        self._peak = min(MOST_PEELED, PEEL * abs(end - begin)) if toe else 0.0
+        self._peaks = PEELED * duration
+        self._axis = start.rotation[:, 1].copy()
         motion = np.zeros((3, 6))
         motion[0, :3] = start.position
-        self._plan(motion, start.rotation, target, 0.0, duration)
+        self._plan(motion, np.zeros((3, 1)), start.rotation, target, (0.0, duration))
 
     def retarget(self, time: float, target: SolePose, duration: float) -> None:
         """Go elsewhere, or be there at another time: from where the reference is, without a jump.
@@ -124,16 +169,21 @@ class SwingTrajectory:
             target: of the sole.
             duration: of the whole swing, later than now [s].
         """
-        point = self.at(time)
-        motion = np.empty((3, 6))
-        motion[0, :3], motion[0, 3:], motion[1], motion[2] = point.position, 0.0, point.velocity, point.acceleration
+        motion, peel = self._flat(time), self._peeling.at(time)
+        start = rotation.from_rotation_vector(motion[0, 3:]) @ self._start
+        motion[0, 3:] = 0.0
         left = self._ends - time
         if left > 0.0:
-            self._apex_time = time + (self._apex_time - time) * (duration - time) / left
-        self._plan(motion, point.rotation, target, time, duration)
+            stretch = (duration - time) / left
+            self._apex_time = time + (self._apex_time - time) * stretch
+            self._peaks = time + (self._peaks - time) * stretch
+        self._plan(motion, peel, start, target, (time, duration))
 
-    def _plan(self, motion: FloatArray, start: FloatArray, target: SolePose, time: float, duration: float) -> None:
-        """From ``motion`` (3, 6) at ``time``; its angles are a rotation vector from ``start`` (3, 3)."""
+    def _plan(
+        self, motion: FloatArray, peel: FloatArray, start: FloatArray, target: SolePose, times: tuple[float, float]
+    ) -> None:
+        """From ``motion`` (3, 6), with its angles from ``start`` (3, 3), and ``peel`` (3, 1), from now to the end."""
+        time, duration = times
         end = np.empty(6)
         end[:3], end[3:] = target.position, rotation.rotation_vector(target.rotation @ start.T)
         end[2] -= self._depth
@@ -141,20 +191,41 @@ class SwingTrajectory:
         arrives = max(departs + SHORTEST_RISE, self._arrives * duration)
         self._start, self._ends = start, duration
         self._horizontal = Quintic(motion, end, departs, arrives - departs)
-        self._vertical: list[Quintic] = []
-        height = motion[:, 2:3]
-        if self._apex_time - time > SHORTEST_RISE:
-            apex = np.array((self._apex,))
-            self._vertical.append(Quintic(height, apex, time, self._apex_time - time))
-            height, time = np.array((apex, (0.0,), (0.0,))), self._apex_time
-        self._vertical.append(Quintic(height, end[2:3], time, duration - time, -self._descent))
+        self._vertical = Hump(
+            motion[:, 2:3],
+            time,
+            peak=(self._apex, self._apex_time),
+            end=(float(end[2]), duration),
+            velocity=-self._descent,
+        )
+        self._peeling = Hump(peel, time, peak=(self._peak, self._peaks), end=(0.0, LEVEL * duration), velocity=0.0)
+
+    def _flat(self, time: float) -> FloatArray:
+        """(3, 6) the motion of the sole, were it not peeled off; angles as in ``_plan``."""
+        motion = self._horizontal.at(time)
+        motion[:, 2] = self._vertical.at(time)[:, 0]
+        if time > self._ends:
+            motion[:, 2] = (motion[0, 2] - self._descent * (time - self._ends), -self._descent, 0.0)
+        return motion
 
     def at(self, time: float) -> SwingPoint:
         """The reference at ``time`` [s] since the start."""
-        motion = self._horizontal.at(time)
-        piece = self._vertical[0] if time < self._vertical[0].ends else self._vertical[-1]
-        motion[:, 2] = piece.at(time)[:, 0]
-        if time > self._ends:
-            motion[:, 2] = (motion[0, 2] - self._descent * (time - self._ends), -self._descent, 0.0)
+        motion = self._flat(time)
         turned = rotation.from_rotation_vector(motion[0, 3:]) @ self._start
+        if self._peak:
+            turned = self._add_peel(motion, turned, *self._peeling.at(time)[:, 0].tolist())
         return SwingPoint(motion[0, :3], turned, motion[1], motion[2])
+
+    def _add_peel(
+        self, motion: FloatArray, turned: FloatArray, angle: float, rate: float, acceleration: float
+    ) -> FloatArray:
+        """Turn the sole toes down, its origin raised so that the toe stays where it was; gives its rotation (3, 3)."""
+        s, c = self._toe * sin(angle), self._toe * cos(angle)
+        motion[:, 2] += (s, c * rate, c * acceleration - s * rate * rate)
+        peel = rotation.from_rotation_vector(angle * self._axis)
+        spin = rate * self._axis
+        carried = peel @ motion[1, 3:]
+        motion[2, 3:] = acceleration * self._axis + peel @ motion[2, 3:] + np.cross(spin, carried)
+        motion[1, 3:] = spin + carried
+        result: FloatArray = peel @ turned
+        return result

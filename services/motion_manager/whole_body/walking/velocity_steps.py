@@ -76,14 +76,13 @@ class VelocitySteps:
         velocity = self._changed(self.velocity)
         self._next_velocity = velocity
         foot = self._first(velocity) if self._last_foot is None else 1 - self._last_foot
-        if not velocity.any() and self._aligned(soles, foot):
-            return ()
-        steps = []
-        stance = soles[1 - foot]
-        for _ in range(AHEAD):
-            step = self._step(foot, stance, velocity)
+        steps: list[Step] = []
+        places = list(soles)
+        while len(steps) < AHEAD and (velocity.any() or not self._aligned(places, foot)):
+            step = self._step(foot, places[1 - foot], velocity)
             steps.append(step)
-            foot, stance, velocity = 1 - foot, step.sole, self._changed(velocity)
+            places[foot] = step.sole
+            foot, velocity = 1 - foot, self._changed(velocity)
         return steps
 
     def began(self, step: Step) -> None:
