@@ -53,6 +53,7 @@ class Subscriber(Generic[M]):
         self._payload = self._header + wire.PUBLICATION.size
         self._waiting: deque[Checked] = deque()  # checked but not delivered
         self._undecodable = 0
+        self._woken = False
         self._closed = False
         self._intake = Intake(node, topic, own, queue)
         self._codecs = self._intake.codecs
@@ -103,7 +104,7 @@ class Subscriber(Generic[M]):
             timeout: how long to wait [s]; None: for ever. Zero or less: not at all.
 
         Returns:
-            None after the time-out.
+            None after the time-out, or when woken.
         """
         if timeout is not None and timeout <= 0.0:
             return self._next() if self._keep_all else self.latest()
@@ -120,11 +121,19 @@ class Subscriber(Generic[M]):
                 received = self.latest() if self._source.several and not self._keep_all else self._next()
                 if received is not None:
                     return received
+            if self._woken:
+                self._woken = False
+                return None
             if timeout is not None:
                 remaining = deadline - time.monotonic()
                 if remaining <= 0.0:
                     return None
                 milliseconds = int(remaining * 1000.0) + 1
+
+    def wake(self) -> None:
+        """Make ``receive`` return now, if it waits, and else perhaps the next one. From any thread."""
+        self._woken = True
+        self._node.discovery.wake(self.topic)
 
     def drain(self) -> list[Received[M]]:
         """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks."""

@@ -71,6 +71,10 @@ class ClockStatus(Message):
 # --- Motion Manager out -------------------------------------------------------------------------------------------
 
 
+REQUESTED_BY = "requested by "
+"""How the reason of a change of behavior begins that somebody asked for; his node's name follows."""
+
+
 class MotionState(Message):
     """What the Motion Manager is doing and what it believes, every control period."""
 
@@ -80,7 +84,7 @@ class MotionState(Message):
     locomotion: str
     manipulation: str
     attention: str
-    reason: str  # of the last change of behavior
+    reason: str  # of the last change of behavior; begins with REQUESTED_BY if somebody asked for it
     pelvis_position_in_odom: Float64Array  # (3,) [m], estimated
     pelvis_orientation_in_odom: Float64Array  # (4,), estimated
     pelvis_linear_velocity_in_odom: Float64Array  # (3,) [m/s]

@@ -23,6 +23,7 @@ from motion_manager.behaviors import (
     Manipulation,
 )
 from valor_common.errors import ValorError
+from valor_common.messages import REQUESTED_BY
 
 S = TypeVar("S", bound=StrEnum)
 
@@ -149,7 +150,7 @@ class BehaviorFsm:
             return Verdict(False, reason)
         if target is self.behavior:
             return Verdict(True, f"already in {target}")
-        self.go(target, f"requested by {origin}")
+        self.go(target, REQUESTED_BY + origin)
         return Verdict(True, "")
 
     def go(self, target: Behavior, reason: str) -> None:

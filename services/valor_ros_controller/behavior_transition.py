@@ -1,8 +1,12 @@
 """The two-command behavior transition (thesis section 4.2.2, figure 4.3).
 
 A manipulation behavior is entered from its base behavior only, so every control mode is reached by two commands: the
-base, and once the Motion System reports that, the base again or its manipulation variant. Here stands only what
-follows what; asking and listening are the interface's.
+base, and once the Motion System is there, the base again or its manipulation variant. Here stands only what follows
+what; asking and listening are the interface's.
+
+The Motion System speaks in two ways, and either may be late: it answers a command with the behavior that it is in
+then, and it reports its behavior every period. An answer is enough to go on with the second command; done is what has
+been reported.
 """
 
 from __future__ import annotations
@@ -22,12 +26,14 @@ class BehaviorAnswer:
         number: of the command that is answered.
         accepted: by the Motion Manager.
         reason: why not.
+        behavior: that the Motion Manager is in; empty: not known.
         silent: no answer came at all.
     """
 
     number: int
     accepted: bool
     reason: str
+    behavior: str = ""
     silent: bool = False
 
 
@@ -49,13 +55,17 @@ class BehaviorTransition:
         diverted: it failed because the Motion System went elsewhere on its own.
     """
 
-    def __init__(self, commands: tuple[str, str], first_number: int, behavior: str) -> None:
+    def __init__(
+        self, commands: tuple[str, str], first_number: int, behavior: str, replaced: BehaviorTransition | None = None
+    ) -> None:
         """Prepare to go.
 
         Args:
             commands: the base behavior, then the base or its variant.
             first_number: the number of the first command; the second has the next.
             behavior: reported now.
+            replaced: the transition that this one puts an end to. What it has asked for may still take effect, and
+                is no news when it does.
         """
         self.state = TransitionState.PROCESSING
         self.reason = ""
@@ -63,7 +73,11 @@ class BehaviorTransition:
         self.diverted = False
         self._commands = commands
         self._numbers = (first_number, first_number + 1)
-        self._expected = {behavior, commands[0]}
+        self._expected: set[str] = {behavior, commands[0]}
+        self._in_order = True  # what is reported is not the effect of something asked for before
+        if replaced is not None and replaced.state is TransitionState.PROCESSING:
+            self._in_order = False
+            self._expected |= replaced._expected
         self._step = 0
         self._sent = False
         self._deadline: float | None = None
@@ -87,27 +101,43 @@ class BehaviorTransition:
         if not self._sent:
             self._sent = True
             return self._numbers[self._step], command
+        arrived = behavior == command
         if answer is not None and answer.number == self._numbers[self._step]:
-            if not answer.accepted:
+            # A reply that was lost on its way is no refusal, if the Motion System is where it was asked to go.
+            if not (answer.accepted or (answer.silent and arrived)):
                 self.silent = answer.silent
                 self._fail(answer.reason)
                 return None
             self._deadline = now + REPORT_TIMEOUT
+            arrived = arrived or (self._step == 0 and answer.behavior == command)
         if self._deadline is None:
             return None
-        if behavior == command:
-            self._deadline = None
-            if self._step == 1:
-                self.state = TransitionState.DONE
-                return None
-            self._step = 1
-            self._expected = {command, self._commands[1]}
-            return self._numbers[1], self._commands[1]
+        if arrived:
+            return self._go_on(behavior)
         if now > self._deadline:
             self._fail(
                 f"{command} was accepted, but the Motion System still reports {behavior} after {REPORT_TIMEOUT:g} s"
             )
         return None
+
+    def _go_on(self, behavior: str) -> tuple[int, str] | None:
+        """The present command has led where it should."""
+        self._deadline = None
+        if self._step == 1:
+            self.state = TransitionState.DONE
+            return None
+        self._step = 1
+        first, second = self._commands
+        if self._in_order and behavior == first:
+            self._expected = {first}
+        self._expected.add(second)
+        return self._numbers[1], second
+
+    def abandon(self, reason: str) -> None:
+        """Ask for nothing more."""
+        if self.state is TransitionState.PROCESSING:
+            self.silent = True
+            self._fail(reason)
 
     def _fail(self, reason: str) -> None:
         self.state = TransitionState.FAILED

@@ -13,6 +13,7 @@ import sys
 from builtin_interfaces.msg import Time
 
 from valor_common.service import Context, quiet_collector
+from valor_ros_controller.behavior_commander import BehaviorCommander
 from valor_ros_controller.control_modes import ControlModeTable
 from valor_ros_controller.controllers.configuration import ControllersTable
 from valor_ros_controller.controllers.control_mode_controller import ControlModeController
@@ -88,7 +89,9 @@ class ValorRosController:
         rate = robot.tables.control_rate / decimation
         self._stamp = Time()
         self._hw = ValorEscherHWInterface(robot)
-        self._interface = ValorEscherInterface(context.node, self._hw, decimation, silence_timeout)
+        self._interface = ValorEscherInterface(
+            context.node, BehaviorCommander(context.node), self._hw, decimation, silence_timeout
+        )
         mode_controller = ControlModeController(modes, self._interface)
         trajectories = {
             name: JointTrajectoryController(name, config, self._hw, modes.running(name))

@@ -1,23 +1,20 @@
 """Valor Escher Interface (VEI): the Motion System's side, over Bifrost (thesis sections 4.1.4 and 4.2.2).
 
 Measurements and the Motion System's state come in, set-points and the control mode's report go out, all in the update
-thread. Asking for a behavior waits for a reply, so a thread of its own does it; real-time buffers lie between, in
-which a newer command replaces one that is still waiting.
+thread. Asking for a behavior waits for a reply, so the commander does it in a thread of its own.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 
 import bifrost
 from valor_common import topics
 from valor_common.messages import (
-    BehaviorReply,
-    BehaviorRequest,
     ControlModeReport,
     JointSetpoints,
     MotionState,
@@ -25,67 +22,18 @@ from valor_common.messages import (
     Proprioceptor,
     StepStatus,
 )
-from valor_ros_controller.behavior_transition import BehaviorAnswer, BehaviorTransition
+from valor_ros_controller.behavior_commander import Commander
+from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor_ros_controller.controllers.control_mode_controller import ModeReport
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
 from valor_ros_controller.trajectory.limits import Indices
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
 
-ANSWER_TIMEOUT = 2.0
-"""How long the Motion Manager may take to answer a behavior command [s]."""
 PELVIS_SMOOTHING = 0.04
 """Time constant of the pelvis' velocity, which is taken from its estimated places [s]."""
 REPORT_PERIOD = 0.1
 """The control mode is reported on Bifrost on change and this often [s]."""
-
-
-class BehaviorCommander(threading.Thread):
-    """Asks the Motion Manager for behaviors, one at a time, newest first.
-
-    Attributes:
-        commands: (number, behavior) to ask for.
-        answers: what became of them.
-    """
-
-    def __init__(self, node: bifrost.Node) -> None:
-        super().__init__(name="behavior_commander", daemon=True)
-        self.commands: RealTimeBuffer[tuple[int, str]] = RealTimeBuffer()
-        self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
-        self._client = node.client(topics.BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._wake = threading.Event()
-        self._closing = False
-
-    def ask(self, number: int, behavior: str) -> None:
-        """Ask for a behavior; never waits."""
-        self.commands.write((number, behavior))
-        self._wake.set()
-
-    def run(self) -> None:
-        """The thread."""
-        while True:
-            self._wake.wait()
-            self._wake.clear()
-            if self._closing:
-                return
-            if command := self.commands.read():
-                self.answers.write(self._call(*command))
-
-    def _call(self, number: int, behavior: str) -> BehaviorAnswer:
-        try:
-            reply = self._client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
-        except bifrost.Error as error:
-            return BehaviorAnswer(number, False, str(error), silent=True)
-        return BehaviorAnswer(number, reply.accepted, f"the Motion Manager refused {behavior}: {reply.reason}")
-
-    def close(self) -> None:
-        """End the thread, at the latest when a call under way has timed out."""
-        self._closing = True
-        self._wake.set()
-        if self.is_alive():
-            self.join()
-        self._client.close()
 
 
 class ValorEscherInterface:
@@ -99,15 +47,27 @@ class ValorEscherInterface:
         rejected: how many messages were of the wrong length or not finite.
     """
 
-    def __init__(self, node: bifrost.Node, hw: ValorEscherHWInterface, decimation: int, silence_timeout: float) -> None:
+    def __init__(
+        self,
+        node: bifrost.Node,
+        commander: Commander,
+        hw: ValorEscherHWInterface,
+        decimation: int,
+        silence_timeout: float,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Connect.
 
         Args:
             node: to the Bifrost network.
+            commander: asks for behaviors; closed with the interface.
             hw: where measurements go and set-points come from.
             decimation: a cycle is due at every n-th Proprioceptor.
             silence_timeout: a process that publishes nothing for so long is silent [s].
+            clock: monotonic [s].
         """
+        self._clock = clock
         self._hw = hw
         self._decimation = decimation
         self._timeout = silence_timeout
@@ -118,8 +78,8 @@ class ValorEscherInterface:
         self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
         self._pelvis = node.publisher(topics.PELVIS.name, PelvisSetpoint)
         self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport)
-        self._commander = BehaviorCommander(node)
-        self._commander.start()
+        self._commander = commander
+        commander.answered = self.wake
         self._transition: BehaviorTransition | None = None
         self._number = 1
         self._last_sequence = 0
@@ -140,12 +100,16 @@ class ValorEscherInterface:
     @property
     def proprioceptor_age(self) -> float:
         """Since the newest Proprioceptor came [s]; inf before the first."""
-        return time.monotonic() - self._heard_proprioceptor
+        return self._clock() - self._heard_proprioceptor
 
     @property
     def motion_state_age(self) -> float:
         """Since the newest MotionState came [s]; inf before the first."""
-        return time.monotonic() - self._heard_motion
+        return self._clock() - self._heard_motion
+
+    def wake(self) -> None:
+        """Make ``read`` return at once: there is something to see to. From any thread."""
+        self._proprioceptor.wake()
 
     def read(self, timeout: float) -> bool:
         """Wait for the Proprioceptor that a cycle is due for, and take in all that is new.
@@ -154,19 +118,26 @@ class ValorEscherInterface:
             timeout: how long to wait [s].
 
         Returns:
-            Whether it came; if not, no cycle is due, but what the Motion System says is known all the same.
+            Whether it came; if not, no cycle is due, but what the Motion System says is known all the same. While a
+            transition is under way this is so with every Proprioceptor, for the Motion System reports as often.
         """
-        deadline = time.monotonic() + timeout
+        deadline = self._clock() + timeout
         due = False
         while not due:
-            received = self._proprioceptor.receive(max(1e-3, deadline - time.monotonic()))
+            received = self._proprioceptor.receive(max(1e-3, deadline - self._clock()))
             if received is None:
                 break
-            self._heard_proprioceptor = time.monotonic()
+            self._heard_proprioceptor = self._clock()
             self._newest_sequence = received.message.sequence
             due = self._take(received.message)
-        self._listen(time.monotonic())
+            if self._in_transition:
+                break
+        self._listen(self._clock())
         return due
+
+    @property
+    def _in_transition(self) -> bool:
+        return self._transition is not None and self._transition.state is TransitionState.PROCESSING
 
     def _take(self, measured: Proprioceptor) -> bool:
         """Store a measurement if a cycle is due for it."""
@@ -215,11 +186,7 @@ class ValorEscherInterface:
         if now - self._heard_motion > self._timeout:
             self.behavior = ""
             self.step_status = None
-        answer = self._commander.answers.read()
-        if self._transition and self.behavior:
-            command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
-            if command:
-                self._commander.ask(*command)
+        self._proceed(now)
 
     def _take_motion(self, motion: MotionState) -> None:
         """Store what the Motion System does."""
@@ -248,9 +215,24 @@ class ValorEscherInterface:
 
     def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
         """Ask for two behaviors, one after the other; ends a transition that is under way."""
-        self._transition = BehaviorTransition(commands, self._number, self.behavior)
+        self._transition = BehaviorTransition(commands, self._number, self.behavior, self._transition)
         self._number += 2
+        self._proceed(self._clock())
         return self._transition
+
+    def abandon_transition(self, reason: str) -> None:
+        """Ask for nothing more."""
+        self._commander.forget()
+        if self._transition:
+            self._transition.abandon(reason)
+
+    def _proceed(self, now: float) -> None:
+        """The transition under way: what was answered and reported, and what is to be asked for next."""
+        answer = self._commander.answers.read()
+        if self._transition and self.behavior:
+            command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
+            if command:
+                self._commander.ask(*command)
 
     def write(self) -> None:
         """Send the set-points of the joints that are written."""
@@ -271,7 +253,7 @@ class ValorEscherInterface:
 
     def report(self, report: ModeReport) -> None:
         """Tell Bifrost of the control mode: on change, and every ``REPORT_PERIOD``."""
-        now = time.monotonic()
+        now = self._clock()
         if report is self._reported and now - self._reported_at < REPORT_PERIOD:
             return
         self._reported, self._reported_at = report, now

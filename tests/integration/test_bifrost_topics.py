@@ -228,6 +228,22 @@ def test_wait_tells_who_has_something(net: BifrostNetwork) -> None:
     assert bifrost.wait(subscribers, timeout=0.0) == []
 
 
+def test_a_wait_is_ended_from_another_thread_and_no_message_is_lost_by_it(net: BifrostNetwork) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    subscriber = net.node("subscriber").subscriber("lab/sample", Sample)
+    connected(publisher, subscriber)
+    subscriber.receive(timeout=0.0)
+    waker = threading.Timer(0.1, subscriber.wake)
+    waker.start()
+    before = time.monotonic()
+    assert subscriber.receive(timeout=20.0) is None
+    assert time.monotonic() - before < 10.0
+    waker.join()
+    publisher.publish(sample(7))
+    received = subscriber.receive(timeout=5.0)
+    assert received is not None and received.message.count == 7
+
+
 def test_the_descriptor_serves_an_event_loop(net: BifrostNetwork) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
     subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=1000)

@@ -62,9 +62,15 @@ class Plant:
         self._hw = ValorEscherHWInterface(ROBOT)
 
     def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
-        self._transition = BehaviorTransition(commands, self._number, self.behavior)
+        self._transition = BehaviorTransition(commands, self._number, self.behavior, self._transition)
         self._number += 2
         return self._transition
+
+    def abandon_transition(self, reason: str) -> None:
+        if self._transition:
+            self._transition.abandon(reason)
+
+    def wake(self) -> None: ...
 
     def cycle(self, count: int = 1, *, report: bool = True) -> None:
         for _ in range(count):
@@ -203,9 +209,19 @@ def test_when_a_plan_is_done_the_arms_are_asked_for_again(plant, mode):
         plant.cycle()
         if not reports or plant.controller.report != reports[-1]:
             reports.append(plant.controller.report)
-    assert reports[0].status == S.MODE_PROCESSING and reports[0].current == "stand"
+    assert reports[0] == ModeReport(mode, "stand", S.EXTERNAL_CHANGE)
+    assert reports[1].status == S.MODE_PROCESSING and reports[1].current == "stand"
     assert reports[-1] == ModeReport("stand_manipulate", "stand_manipulate", S.MODE_ACCEPTED)
     assert plant.fsm.behavior is Behavior.STAND_MANIPULATE
+
+
+def test_another_commander_who_asks_for_stand_gets_it(plant):
+    plant.ask("stand")
+    plant.ask("walk_manipulate")
+    plant.fsm.request(Behavior.STAND, Conditions(), "somebody")
+    plant.cycle(12)
+    assert plant.controller.report == ModeReport("walk_manipulate", "stand", S.EXTERNAL_CHANGE)
+    assert plant.fsm.behavior is Behavior.STAND
 
 
 def test_a_step_without_arms_just_returns_to_stand(plant):

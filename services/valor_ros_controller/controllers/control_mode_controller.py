@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from valor_common.messages import ModeStatus
+from valor_common.messages import REQUESTED_BY, ModeStatus
 from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor_ros_controller.control_modes import ControlModeTable
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -56,6 +57,12 @@ class MotionSystem(Protocol):
     def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
         """Ask for two behaviors, one after the other; ends a transition that is under way."""
 
+    def abandon_transition(self, reason: str) -> None:
+        """Ask for nothing more."""
+
+    def wake(self) -> None:
+        """Have ``update`` called soon. From any thread."""
+
 
 @dataclass
 class _Change:
@@ -65,6 +72,7 @@ class _Change:
     target: str
     client: ModeClient | None
     transition: BehaviorTransition
+    other_stops: tuple[str, ...] = ()  # of an emergency: what to ask for if this is refused
 
 
 class ControlModeController:
@@ -88,6 +96,7 @@ class ControlModeController:
         self._requests: deque[tuple[str, ModeClient | None]] = deque()
         self._change: _Change | None = None
         self._followed = ""  # the behavior that the mode was last compared with
+        self._again = ""  # a mode that the controller itself shall ask for
         self.report = ModeReport("", "none", _S.ERR_CONTROLLER_NOT_READY)
         self.reports = 1
         self.active_mode = ""
@@ -103,6 +112,7 @@ class ControlModeController:
     def request(self, mode: str, client: ModeClient | None = None) -> None:
         """Ask for a mode, by name in any case, or for an emergency stop. From any thread."""
         self._requests.append((mode, client))
+        self._motion.wake()
 
     def start(self, hw: ValorEscherHWInterface) -> None:
         """It runs from the beginning; its first report says that nothing is known yet."""
@@ -112,7 +122,7 @@ class ControlModeController:
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """One cycle."""
-        motion = self._motion
+        motion, reports = self._motion, self.reports
         if not motion.behavior:
             if self.active_mode or self._change:
                 self._lose_motion_system()
@@ -121,13 +131,19 @@ class ControlModeController:
                 self._proceed(self._change)
             if not self._change and motion.behavior != self._followed:
                 self._follow()
+            elif again := self._take_again():
+                self._begin(again, again, None)
+        if self.reports != reports:
+            return  # each report is seen for a cycle, that of an external change above all
         while self._requests:
             self._consider(*self._requests.popleft())
 
     # --- what the Motion System does ------------------------------------------------------------------------------
 
     def _lose_motion_system(self) -> None:
-        """It is silent: no mode holds, no controller may run."""
+        """It is silent: no mode holds, no controller may run, and what was not asked yet is asked no more."""
+        self._again = ""
+        self._motion.abandon_transition(f"{self._motion.silent} is silent")
         if self._change:
             self._finish(_S.MODE_REJECTED | _S.ERR_CONTROLLER_NOT_READY, f"{self._motion.silent} is silent")
         _log.warning("%s is silent: the control mode is unknown", self._motion.silent)
@@ -154,26 +170,38 @@ class ControlModeController:
             motion.behavior,
             motion.behavior_reason,
         )
-        again = self._table.modes[previous].when_done
-        if not began and again and mode == "stand":
-            self._begin(again, again, None)
+        done = mode == "stand" and not motion.behavior_reason.startswith(REQUESTED_BY)
+        self._again = (self._table.modes[previous].when_done or "") if done and not began else ""
+
+    def _take_again(self) -> str:
+        """The mode to ask for without being asked, once: in the cycle after the change was reported as external."""
+        again, self._again = self._again, ""
+        return "" if self._change else again
 
     def _proceed(self, change: _Change) -> None:
         """A change is under way: see how far it is."""
         transition = change.transition
         if transition.state is TransitionState.PROCESSING:
             return
-        behavior = self._motion.behavior
+        behavior, before = self._motion.behavior, self._followed
         self._followed = behavior
         if transition.state is TransitionState.DONE:
             _log.info("control mode %s -> %s", self.current, change.target)
             self.active_mode = change.target
             self._finish(_S.MODE_ACCEPTED, "", current=change.target)
             return
-        if self._table.fits(self.current, behavior):
+        # A mode that stands for no behavior is left only when the behavior changes.
+        if behavior == before or self._table.fits(self.current, behavior):
             actual = self.current
         else:
             actual = self._table.behaviors.get(behavior, "none")
+        if not (transition.silent or transition.diverted) and (stop := self._stop_from(actual, change.other_stops)):
+            # The mode was another than it seemed when the emergency stop was asked for.
+            self._note_refusal(change.requested, transition.reason)
+            self._change = None
+            self._set(ModeReport(stop, actual, _S.MODE_PROCESSING))
+            self._begin(change.requested, stop, change.client, others=_without(change.other_stops, stop))
+            return
         status = _S.MODE_REJECTED
         if transition.silent:
             status |= _S.ERR_CONTROLLER_NOT_READY
@@ -195,42 +223,65 @@ class ControlModeController:
             waiting = self._motion.silent or "the Motion System"
             self._refuse(requested, client, _S.ERR_CONTROLLER_NOT_READY, f"{waiting} is silent")
             return
+        others: tuple[str, ...] = ()
         if target == EMERGENCY_STOP:
-            choice = [mode for mode in self._table.emergency_stop if mode == current or mode in modes[current].to]
-            if not choice:
+            target = self._stop_from(current, self._table.emergency_stop)
+            if not target:
                 reason = f"no mode to stop in may follow {current}; the joints are not under control"
                 self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, reason)
                 return
-            target = choice[0]
+            others = _without(self._table.emergency_stop, target)
         if target not in modes:
             reason = f"no such mode; expected one of {', '.join(modes)}"
             self._refuse(requested, client, _S.ERR_INVALID_BEHAVIOR_MODE, reason)
             return
-        if self._change and not (modes[target].preempts and self._change.target != target):
-            reason = f"the change to {self._change.target} is under way"
+        change = self._change
+        if change and not (modes[target].preempts and change.target != target):
+            reason = f"the change to {change.target} is under way"
             self._refuse(requested, client, _S.ERR_PRIOR_COMMAND_IN_PROGRESS, reason)
             return
-        if not self._change and target == current:
+        if not change and target == current:
             report = ModeReport(target, current, _S.MODE_ACCEPTED | _S.MODE_DUPLICATE)
             self._set(report)
             if client:
                 client.finish(report)
             return
-        if self._change is None and target not in modes[current].to:
-            allowed = ", ".join(sorted(modes[current].to))
-            reason = f"not allowed from {current}; from there: {allowed}"
+        # Of a change under way nobody knows how far it is.
+        allowed = modes[current].to | (modes[change.target].to | {current} if change else frozenset())
+        if target not in allowed:
+            reason = f"not allowed from {current}; from there: {', '.join(sorted(modes[current].to))}"
             self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, reason)
             return
-        if self._change:
+        if change:
             self._finish(_S.MODE_PREEMPTED, f"preempted by {target}")
-        self._begin(requested, target, client)
+        self._begin(requested, target, client, others=others, under_way=change is not None)
 
-    def _begin(self, requested: str, target: str, client: ModeClient | None) -> None:
-        """Ask the Motion System for what a mode stands for."""
+    def _stop_from(self, mode: str, stops: Sequence[str]) -> str:
+        """The first of these modes that a mode may be stopped in; empty: none."""
+        return next((stop for stop in stops if stop == mode or stop in self._table.modes[mode].to), "")
+
+    def _begin(
+        self,
+        requested: str,
+        target: str,
+        client: ModeClient | None,
+        *,
+        others: tuple[str, ...] = (),
+        under_way: bool = False,
+    ) -> None:
+        """Ask the Motion System for what a mode stands for.
+
+        Args:
+            requested: as asked.
+            target: the mode.
+            client: who asked.
+            others: modes to stop in, if the Motion System refuses this one.
+            under_way: another change was, so that the Motion System may be about to be elsewhere.
+        """
         mode = self._table.modes[target]
         if mode.switch == "hard_reset":
             self.hard_resets += 1
-        if not mode.motion or mode.motion[1] == self._motion.behavior:
+        if not mode.motion or (mode.motion[1] == self._motion.behavior and not under_way):
             # Nothing to ask for: the mode keeps the behavior, or differs in its controllers alone.
             self.active_mode = target
             report = ModeReport(target, target, _S.MODE_ACCEPTED)
@@ -241,7 +292,7 @@ class ControlModeController:
         if mode.switch != "on_feedback":
             self.active_mode = target
         report = ModeReport(target, self.current, _S.MODE_PROCESSING)
-        self._change = _Change(requested, target, client, self._motion.begin_transition(mode.motion))
+        self._change = _Change(requested, target, client, self._motion.begin_transition(mode.motion), others)
         self._set(report)
         if client:
             client.processing(report)
@@ -275,3 +326,7 @@ class ControlModeController:
     def _set(self, report: ModeReport) -> None:
         self.report = report
         self.reports += 1
+
+
+def _without(modes: Sequence[str], mode: str) -> tuple[str, ...]:
+    return tuple(other for other in modes if other != mode)

@@ -1,0 +1,333 @@
+"""The VRC's update loop against the Motion Manager's state machines, period by period in one thread.
+
+Both sides are the real ones: the VRC from its Bifrost interface to its trajectory controllers, the Motion Manager's
+behavior FSM, its handlers and the references of its joints. What is in between is not: messages and time pass as told,
+so that every order of events can be tried, late and lost messages among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bifrost import Received
+from motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
+from motion_manager.handlers.behavior import BehaviorHandler
+from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from motion_manager.joint_reference import JointReference
+from motion_manager.limiter import Limiter
+from motion_manager.rejections import Rejections
+from motion_manager.upper_body import UpperBody
+from motion_manager.whole_body.pelvis import pelvis_limits
+from tests.conftest import ROBOTS
+from tests.unit.motion_states import motion_state
+from valor_common import topics
+from valor_common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
+from valor_common.robot import FloatVector, RobotDescription
+from valor_ros_controller.behavior_transition import BehaviorAnswer
+from valor_ros_controller.control_modes import ControlModeTable
+from valor_ros_controller.controllers.configuration import ControllersTable
+from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor_ros_controller.controllers.footstep_controller import FootstepController
+from valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor_ros_controller.controllers.tracking_controller import TrackingController
+from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor_ros_controller.valor_escher_controller import ValorEscherController
+from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+MODES, CONTROLLERS = ControlModeTable.load(), ControllersTable.load()
+N = len(ROBOT.joints)
+PERIOD = round(1e9 * ROBOT.control_period)
+SILENCE = 25 * PERIOD * 1e-9  # of a process, to the VRC [s]
+PATIENCE = 40  # periods that a call waits for its reply
+SAG = 0.02  # joints hang so far below what is commanded [rad]
+
+
+class Mailbox:
+    """A topic with the newest message alone, as publisher and as subscriber; ``heard`` is shown each message."""
+
+    def __init__(self) -> None:
+        self._newest: Received[Any] | None = None
+        self._sequence = 0
+        self.heard: Callable[[Any], None] = lambda message: None
+
+    def publish(self, message: Any) -> None:
+        self._sequence += 1
+        self._newest = Received(message, 0, self._sequence, "test")
+        self.heard(message)
+
+    def latest(self) -> Received[Any] | None:
+        newest, self._newest = self._newest, None
+        return newest
+
+    def wake(self) -> None: ...
+
+    def receive(self, timeout: float) -> Received[Any] | None:
+        return self.latest()
+
+
+@dataclass
+class Network:
+    """Topics by name, in the place of a Bifrost node."""
+
+    topics: dict[str, Mailbox] = field(default_factory=dict)
+
+    def topic(self, name: str) -> Mailbox:
+        return self.topics.setdefault(name, Mailbox())
+
+    def subscriber(self, name: str, _: type, **options: Any) -> Mailbox:
+        return self.topic(name)
+
+    publisher = subscriber
+
+
+@dataclass
+class Call:
+    """A request under way."""
+
+    number: int
+    behavior: str
+    arrives: int  # in so many periods
+    patience: int = PATIENCE
+    reply: BehaviorReply | None = None
+    returns: int = 0
+
+
+class Commander:
+    """One call at a time, newest first; requests and replies take their time or are lost."""
+
+    def __init__(self) -> None:
+        self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
+        self.delays = (0, 0)  # of requests and of replies [periods]
+        self.lose_requests = self.lose_replies = False
+        self.answered: Callable[[], None] = lambda: None
+        self.asked = 0  # how often
+        self._waiting: tuple[int, str] | None = None
+        self._call: Call | None = None
+
+    def ask(self, number: int, behavior: str) -> None:
+        self.asked += 1
+        self._waiting = (number, behavior)
+
+    def forget(self) -> None:
+        self._waiting = None
+
+    def close(self) -> None: ...
+
+    def period(self, serve: Callable[[BehaviorRequest], BehaviorReply] | None) -> bool:
+        """One period of the network; returns whether an answer has come."""
+        if self._call is None and self._waiting is not None:
+            self._call, self._waiting = Call(*self._waiting, arrives=self.delays[0]), None
+        call = self._call
+        if call is None:
+            return False
+        call.patience -= 1
+        if call.patience < 0:
+            self._end(BehaviorAnswer(call.number, False, "no reply", silent=True))
+            return True
+        if call.arrives >= 0:
+            call.arrives -= 1
+            if call.arrives < 0 and serve and not self.lose_requests:
+                reply = serve(BehaviorRequest(call.behavior))
+                if not self.lose_replies:
+                    call.reply, call.returns = reply, self.delays[1]
+        elif call.reply is not None:
+            call.returns -= 1
+            if call.returns < 0:
+                self._end(BehaviorAnswer(call.number, call.reply.accepted, call.reply.reason, call.reply.behavior))
+                return True
+        return False
+
+    def _end(self, answer: BehaviorAnswer) -> None:
+        self._call = None
+        self.answers.write(answer)
+
+
+class MotionSystem:
+    """The Motion Manager without its Whole-Body Controller: joints are where its references are, less some sag."""
+
+    def __init__(self, time: int, position: FloatVector) -> None:
+        self.fsm = BehaviorFsm(unavailable={})
+        self.reference = JointReference(ROBOT)
+        table, height = ROBOT.tables.pelvis, ROBOT.tables.nominal_base_height
+        self._pelvis = Limiter(
+            *pelvis_limits(table, height),
+            np.repeat((table.max_speed, table.max_turn_rate), 3),
+            np.repeat((table.max_acceleration, table.max_turn_acceleration), 3),
+        )
+        self._pelvis_target = np.array((0.0, 0.0, height, 0.0, 0.0, 0.0))
+        self._pelvis.reset(np.ones(6, dtype=bool), self._pelvis_target)
+        self.rejections = Rejections()
+        self._upper_body = UpperBody(ROBOT, self.reference)
+        self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda: "")
+        self._setpoints = JointSetpointsHandler(ROBOT, self.fsm, self._upper_body, self.rejections)
+        self._taken_over = time
+        self._was = Behavior.IDLE
+        self.take_up(position)
+        self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
+
+    def take_up(self, position: FloatVector) -> None:
+        """Begin with the joints where they are."""
+        self.reference.take_up(np.ones(N, dtype=bool), position)
+
+    def serve(self, request: BehaviorRequest) -> BehaviorReply:
+        return self._behavior.handle(request, "valor_ros_controller")
+
+    def go(self, behavior: Behavior, reason: str) -> bool:
+        """Change by itself, if there is a way."""
+        possible = self.fsm.behavior in OPERATIONAL and self.fsm.may_go(behavior)
+        if possible:
+            self.fsm.go(behavior, reason)
+        return possible
+
+    def period(self, time: int, position: FloatVector, network: Network) -> MotionState:
+        """Hear, move, report."""
+        now = time * 1e-9
+        if received := network.topic(topics.JOINT_SETPOINTS.name).latest():
+            self._setpoints.handle(received, time, self._taken_over)
+        if received := network.topic(topics.PELVIS.name).latest():
+            self._pelvis_target = received.message.position
+        fsm = self.fsm
+        self._upper_body.enter(fsm.manipulation, fsm.attention, now)
+        if fsm.locomotion is Locomotion.FALL:
+            self.take_up(position)
+        elif fsm.behavior is not self._was and fsm.locomotion in (Locomotion.STAND_PREP, Locomotion.FREEZE):
+            self.reference.hold(np.ones(N, dtype=bool))
+        self._was = fsm.behavior
+        self._upper_body.update(now)
+        self.reference.advance(now, PERIOD * 1e-9)
+        self._pelvis.advance(self._pelvis_target, np.zeros(6), PERIOD * 1e-9)
+        return motion_state(
+            time=time,
+            behavior=str(fsm.behavior),
+            locomotion=str(fsm.locomotion),
+            manipulation=str(fsm.manipulation),
+            attention=str(fsm.attention),
+            reason=fsm.reason,
+            joint_setpoint=self.reference.position.copy(),
+            pelvis_setpoint=self._pelvis.position.copy(),
+            pelvis_in_support=self._pelvis.position.copy(),
+        )
+
+
+class Vrc:
+    """One life of the VRC."""
+
+    def __init__(self, network: Network, commander: Commander, clock: Callable[[], float]) -> None:
+        self.hw = ValorEscherHWInterface(ROBOT)
+        self.interface = ValorEscherInterface(network, commander, self.hw, 2, SILENCE, clock=clock)  # type: ignore[arg-type]
+        self.modes = ControlModeController(MODES, self.interface)
+        self.trajectories = {
+            name: JointTrajectoryController(name, config, self.hw, MODES.running(name))
+            for name, config in (CONTROLLERS.joint_controllers | CONTROLLERS.robot_controllers).items()
+        }
+        tracking = [
+            TrackingController(name, config, self.hw) for name, config in CONTROLLERS.tracking_controllers.items()
+        ]
+        joints = [self.trajectories[name] for name in CONTROLLERS.joint_controllers]
+        robots = [self.trajectories[name] for name in CONTROLLERS.robot_controllers]
+        self.controller = ValorEscherController(
+            table=MODES,
+            hw=self.hw,
+            interface=self.interface,
+            mode_controller=self.modes,
+            joint_controllers=[*joints, *tracking],
+            robot_controllers=[FootstepController(self.interface), *robots],
+        )
+
+
+@dataclass
+class ModeClient:
+    """Keeps what it is told."""
+
+    asked: str
+    seen: list[ModeReport] = field(default_factory=list)
+    result: ModeReport | None = None
+
+    def processing(self, report: ModeReport) -> None:
+        self.seen.append(report)
+
+    def finish(self, report: ModeReport) -> None:
+        assert self.result is None, "finished twice"
+        self.result = report
+
+
+class System:
+    """Robot, Motion System and VRC.
+
+    Attributes:
+        after: called after every update of the VRC.
+    """
+
+    def __init__(self) -> None:
+        self.time, self.sequence, self.clock = 1_000_000_000, 0, 0.0
+        self.position = ROBOT.nominal_posture - SAG
+        self.network = Network()
+        self.motion: MotionSystem | None = MotionSystem(self.time, ROBOT.nominal_posture)
+        self.frozen = False  # the Motion System neither hears nor speaks
+        self.after: Callable[[], None] = lambda: None
+        self.start_vrc()
+
+    def start_vrc(self) -> None:
+        """A VRC that knows nothing."""
+        self.commander = Commander()
+        self.vrc = Vrc(self.network, self.commander, lambda: self.clock)
+
+    def restart_motion_manager(self) -> None:
+        """A Motion Manager that knows nothing."""
+        self.motion = MotionSystem(self.time, self.position)
+
+    def restart_comms_manager(self) -> None:
+        """Another world, whose time begins anew: the Motion System has lost the robot."""
+        self.time, self.sequence = 0, 0
+        if self.motion is not None:
+            self.motion.go(Behavior.FALL, "robot time went back")
+            self.motion._taken_over = 0
+
+    def ask(self, mode: str) -> ModeClient:
+        """Ask for a control mode."""
+        client = ModeClient(mode)
+        self.vrc.modes.request(mode, client)
+        return client
+
+    def run(self, periods: int = 1, until: Callable[[], bool] = lambda: False) -> None:
+        """Let time pass."""
+        for _ in range(periods):
+            self.period()
+            if until():
+                return
+
+    def period(self) -> None:
+        self.time += PERIOD
+        self.sequence += 1
+        self.clock += PERIOD * 1e-9
+        self._publish_proprioceptor()
+        motion = None if self.frozen else self.motion
+        if motion is not None:
+            state = motion.period(self.time, self.position, self.network)
+            self.network.topic(topics.MOTION_STATE.name).publish(state)
+            if motion.fsm.behavior is not Behavior.FALL:
+                self.position = state.joint_setpoint - SAG
+        answered = self.commander.period(motion.serve if motion else None)
+        if answered or self.sequence % 2 == 0:
+            self.vrc.controller.update()
+            self.after()
+
+    def _publish_proprioceptor(self) -> None:
+        nothing = np.zeros(6)
+        self.network.topic(topics.PROPRIOCEPTOR.name).publish(
+            Proprioceptor(
+                time=self.time, sequence=self.sequence, motor_sequence=0,
+                joint_position=self.position, joint_velocity=np.zeros(N), joint_effort=np.zeros(N),
+                imu_orientation=np.array([1.0, 0.0, 0.0, 0.0]), imu_angular_velocity=np.zeros(3),
+                imu_linear_acceleration=np.array([0.0, 0.0, 9.81]),
+                left_foot_wrench=nothing, right_foot_wrench=nothing,
+                left_hand_wrench=nothing, right_hand_wrench=nothing, battery_voltage=48.0,
+            )
+        )  # fmt: skip
