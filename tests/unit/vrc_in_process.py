@@ -46,7 +46,7 @@ N = len(ROBOT.joints)
 PERIOD = round(1e9 * ROBOT.control_period)
 SILENCE = 25 * PERIOD * 1e-9  # of a process, to the VRC [s]
 PATIENCE = 40  # periods that a call waits for its reply
-SAG = 0.02  # joints hang so far below what is commanded [rad]
+SAG = 0.04  # joints hang so far below what is commanded [rad]
 
 
 class Mailbox:

@@ -1,0 +1,429 @@
+"""How long a message takes through the Valor ROS Controller on a live system, and what the VRC costs (thesis 5.1, 5.2).
+
+Starts the whole system with ``valorctl up``, then measures three pathways and, in the same run, their floor: the same
+payloads from one bare process to another, over pyzmq (no CURVE, no checks) and over rclpy.
+
+    state             Proprioceptor sent ─► /joint_states of the same robot time received
+    mode change       action goal sent ─► its result received (accepted); ─► /flor/controller/mode received (reported)
+    joint command     JointTrajectory sent ─► JointSetpoints sent ─► Motor sent ─► joint measured to move
+
+Both clocks are the computer's monotonic one. The load of the machine stands beside the numbers: on a shared machine
+medians can be trusted, the tails measure the neighbours.
+
+    .venv/bin/python benchmarks/pathways.py [--seconds 20] [--changes 40] [--commands 40]
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from struct import Struct
+from typing import Any
+
+import numpy as np
+import psutil
+import zmq
+from rich.console import Console
+from rich.table import Table
+
+import bifrost
+from valor_common.instance import Instance
+from valor_common.messages import JointSetpoints, Motor, Proprioceptor, Statistics
+from valor_common.robot import RobotDescription
+from valor_common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, VALOR_ROS_CONTROLLER_STATISTICS
+
+VALORCTL = Path(sys.executable).with_name("valorctl")
+INSTANCE = "pathways"
+RATE = 250.0  # of the floor's messages, as of /joint_states [Hz]
+PATIENCE = 20.0  # [s]
+SETTLING = 5.0  # after `up` [s]
+PAUSE = 0.35  # between two mode changes or commands [s]
+JOINT, CONTROLLER = "l_wrist_roll", "left_arm_traj_controller"
+SPEED, SWING = 1.0, 0.2  # of the commanded motion [rad/s], [rad]
+MOVED = 0.005  # a joint that has gone so far moves [rad]
+STAMP = Struct("<q")
+MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
+FLOOR_STATE, FLOOR_ACTION = "/floor/joint_states", "/floor/change_control_mode"
+
+Samples = list[float]  # [s]
+
+
+# --- the bare process at the other end of the floor ----------------------------------------------------------------
+
+
+def joint_state(n: int) -> Any:
+    """A message as large as the robot's."""
+    from sensor_msgs.msg import JointState
+
+    zeros = [0.0] * n
+    return JointState(name=[f"l_some_joint_{i}" for i in range(n)], position=zeros, velocity=zeros, effort=zeros)
+
+
+def serve_floor(n: int, size: int) -> None:
+    """Publish both payloads, each with the time of sending in it, and finish every action goal at once."""
+    import rclpy
+    from rclpy.action import ActionServer
+    from rclpy.executors import SingleThreadedExecutor
+    from sensor_msgs.msg import JointState
+    from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+    def execute(handle: Any) -> Any:
+        handle.succeed()
+        return ChangeControlMode.Result()
+
+    rclpy.init()
+    node = rclpy.create_node("floor", enable_rosout=False, start_parameter_services=False)
+    server = ActionServer(node, ChangeControlMode, FLOOR_ACTION, execute)
+    publisher = node.create_publisher(JointState, FLOOR_STATE, 5)
+    message, payload = joint_state(n), bytes(size)
+    socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.PUB)
+    socket.bind("tcp://127.0.0.1:*")
+    print(socket.getsockopt_string(zmq.LAST_ENDPOINT), flush=True)
+
+    def publish() -> None:
+        socket.send(STAMP.pack(time.monotonic_ns()) + payload)
+
+    def publish_ros() -> None:
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.monotonic_ns(), 10**9)
+        publisher.publish(message)
+
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    due = time.monotonic()
+    for send in itertools.cycle((publish, publish_ros)):
+        send()
+        due += 0.5 / RATE
+        while (left := due - time.monotonic()) > 0.0:
+            executor.spin_once(timeout_sec=left)
+    server.destroy()
+
+
+# --- this end ------------------------------------------------------------------------------------------------------
+
+
+class Ears:
+    """A ROS 2 node that notes when things come; everything in one thread."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.action import ActionClient
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from sensor_msgs.msg import JointState
+        from trajectory_msgs.msg import JointTrajectory
+        from vigir_humanoid_control_msgs.action import ChangeControlMode
+        from vigir_humanoid_control_msgs.msg import ControlModeStatus
+
+        rclpy.init()
+        self.node = rclpy.create_node("pathways", enable_rosout=False, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.states: list[tuple[int, int]] = []  # (stamp of robot time, arrival) [ns]
+        self.floor: list[tuple[int, int]] = []  # (sent, arrival) [ns]
+        self.reports: list[tuple[int, Any]] = []
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(JointState, "/joint_states", self._note(self.states), 5)
+        self._floor = self.node.create_subscription(JointState, FLOOR_STATE, self._note(self.floor), 5)
+        self.node.create_subscription(
+            ControlModeStatus,
+            "/flor/controller/mode",
+            lambda report: self.reports.append((time.monotonic_ns(), report)),
+            latched,
+        )
+        self.mode = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
+        self.floor_action = ActionClient(self.node, ChangeControlMode, FLOOR_ACTION)
+        self.command = self.node.create_publisher(
+            JointTrajectory, f"/trajectory_controllers/{CONTROLLER}/joint_trajectory", 1
+        )
+
+    @staticmethod
+    def _note(arrivals: list[tuple[int, int]]) -> Callable[[Any], None]:
+        def note(message: Any) -> None:
+            stamp = message.header.stamp
+            arrivals.append((stamp.sec * 10**9 + stamp.nanosec, time.monotonic_ns()))
+
+        return note
+
+    def spin(self, until: Callable[[], bool], timeout: float, what: str = "") -> None:
+        """Hear what comes; without ``what`` the time-out is the end."""
+        deadline = time.monotonic() + timeout
+        while not until():
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                if what:
+                    sys.exit(f"not within {timeout:g} s: {what}")
+                return
+            self.executor.spin_once(timeout_sec=min(left, 0.05))
+
+    def change(self, client: Any, mode: str) -> tuple[int, int, Any]:
+        """Send a goal and wait for its result: (sent, received) [ns] and the result."""
+        from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+        self.spin(client.server_is_ready, PATIENCE, "an action server")
+        sent = time.monotonic_ns()
+        accepting = client.send_goal_async(ChangeControlMode.Goal(mode_request=mode))
+        self.spin(accepting.done, PATIENCE, "an answer to a goal")
+        ending = accepting.result().get_result_async()
+        self.spin(ending.done, PATIENCE, "a result")
+        return sent, time.monotonic_ns(), ending.result().result.result
+
+
+@dataclass
+class Row:
+    """One line of the table."""
+
+    pathway: str
+    samples: Samples
+    floor: float | None  # median [s]
+    aim: str
+    thesis: str
+
+
+def measure_floor(ears: Ears, robot: RobotDescription, seconds: float) -> tuple[float, float, float]:
+    """Medians [s]: one way over pyzmq, one way over rclpy, an action from goal to result."""
+    n = len(robot.joints)
+    size = 8 * (3 * n + 40)  # about a Proprioceptor
+    command = [sys.executable, __file__, "--floor", str(n), str(size)]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.SUB)
+        socket.setsockopt(zmq.SUBSCRIBE, b"")
+        socket.connect(child.stdout.readline().strip())
+        socket.setsockopt(zmq.RCVTIMEO, 1000)
+        bare: Samples = []
+        end = time.monotonic() + seconds / 2
+        while time.monotonic() < end:
+            frame = socket.recv()
+            bare.append((time.monotonic_ns() - STAMP.unpack_from(frame)[0]) * 1e-9)
+        socket.close()
+        ears.spin(lambda: False, 1.0)
+        ears.floor.clear()
+        ears.spin(lambda: False, seconds / 2)
+        ros = [(arrival - sent) * 1e-9 for sent, arrival in ears.floor]
+        actions = []
+        for _ in range(20):
+            sent, received, _ = ears.change(ears.floor_action, "floor")
+            actions.append((received - sent) * 1e-9)
+    finally:
+        child.terminate()
+        child.wait()
+        ears.node.destroy_subscription(ears._floor)
+    return float(np.median(bare)), float(np.median(ros)), float(np.median(actions))
+
+
+def measure_state(ears: Ears, node: bifrost.Node, seconds: float) -> Samples:
+    """Proprioceptor sent to the joint states of the same time received."""
+    proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=2000)
+    ears.spin(lambda: False, 1.0)
+    sent: dict[int, int] = {}
+    proprioceptor.drain()
+    ears.states.clear()
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        ears.spin(lambda: False, 0.5)
+        sent.update((received.message.time, received.stamp) for received in proprioceptor.drain())
+    proprioceptor.close()
+    return [(arrival - sent[stamp]) * 1e-9 for stamp, arrival in ears.states if stamp in sent]
+
+
+@dataclass
+class _Told:
+    """Whether the topic has said that a mode was accepted, and when [ns]."""
+
+    ears: Ears
+    mode: str
+    at: int = 0
+
+    def __call__(self) -> bool:
+        for arrival, report in self.ears.reports:
+            if report.status == report.MODE_ACCEPTED and report.current_control_mode == self.mode:
+                self.at = arrival
+                return True
+        return False
+
+
+def measure_modes(ears: Ears, changes: int) -> tuple[Samples, Samples]:
+    """Goal sent to result received, and to the report received."""
+    accepted: Samples = []
+    reported: Samples = []
+    for mode in itertools.islice(itertools.cycle(("stand_manipulate", "stand")), changes):
+        ears.reports.clear()
+        sent, received, status = ears.change(ears.mode, mode)
+        if status.status != status.MODE_ACCEPTED:
+            sys.exit(f"{mode}: status {status.status}, current {status.current_control_mode}")
+
+        told = _Told(ears, mode)
+        ears.spin(told, PATIENCE, f"a report of {mode}")
+        accepted.append((received - sent) * 1e-9)
+        reported.append((told.at - sent) * 1e-9)
+        ears.spin(lambda: False, PAUSE)
+    return accepted, reported
+
+
+def measure_commands(
+    ears: Ears, node: bifrost.Node, robot: RobotDescription, commands: int
+) -> tuple[Samples, Samples, Samples]:
+    """Reference sent to set-points sent, to Motor sent; and Motor to the joint that moves."""
+    from builtin_interfaces.msg import Duration
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    ears.change(ears.mode, "stand_manipulate")
+    ears.spin(lambda: ears.command.get_subscription_count() > 0, PATIENCE, "a subscriber of the trajectories")
+    joint, names = robot.index[JOINT], list(robot.tables.groups["left_arm"])
+    home = [float(robot.nominal_posture[robot.index[name]]) for name in names]
+    setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=2000)
+    motors = node.subscriber(MOTOR.name, Motor, queue=2000)
+    states = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=2000)
+    to_setpoint: Samples = []
+    to_motor: Samples = []
+    to_joint: Samples = []
+    for sign in itertools.islice(itertools.cycle((1, -1)), commands):
+        ears.spin(lambda: False, SWING / SPEED + PAUSE)
+        setpoints.drain()
+        last_motor, last_state = motors.drain()[-1].message, states.drain()[-1].message
+        target = list(home)
+        target[names.index(JOINT)] += SWING if sign > 0 else 0.0
+        point = JointTrajectoryPoint(positions=target, time_from_start=Duration(nanosec=round(1e9 * SWING / SPEED)))
+        message = JointTrajectory(joint_names=names, points=[point])
+        sent = time.monotonic_ns()
+        ears.command.publish(message)
+        ears.spin(lambda: False, SWING / SPEED)
+        first = next((r.stamp for r in setpoints.drain() if _speed(r.message) > 0.1), None)
+        motions = [
+            (r.stamp, abs(r.message.position[joint] - last_motor.position[joint]))
+            for r in motors.drain()
+            if r.stamp > sent
+        ]
+        started = next((stamp for stamp, distance in motions if distance > 1e-5), None)
+        led = next((stamp for stamp, distance in motions if distance > MOVED), None)
+        measured = [
+            (r.stamp, abs(r.message.joint_position[joint] - last_state.joint_position[joint])) for r in states.drain()
+        ]
+        moved = next((stamp for stamp, distance in measured if stamp > sent and distance > MOVED), None)
+        if first is None or started is None or led is None or moved is None:
+            continue  # the first command may find the arm elsewhere
+        to_setpoint.append((first - sent) * 1e-9)
+        to_motor.append((started - sent) * 1e-9)
+        to_joint.append((moved - led) * 1e-9)
+    return to_setpoint, to_motor, to_joint
+
+
+def _speed(message: JointSetpoints) -> float:
+    return abs(float(message.velocity[message.names.index(JOINT)])) if JOINT in message.names else 0.0
+
+
+def cost(node: bifrost.Node, seconds: float) -> dict[str, float]:
+    """CPU of the VRC over some seconds and its memory, as the kernel counts both."""
+    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics)
+    received = statistics.receive(PATIENCE)
+    statistics.close()
+    if received is None:
+        sys.exit("the VRC says nothing")
+    process = psutil.Process(received.message.pid)
+    switches = sum(process.num_ctx_switches())
+    process.cpu_percent()
+    time.sleep(seconds)
+    memory = process.memory_full_info()
+    return {
+        "CPU [% of a core]": process.cpu_percent(),
+        "RSS [MiB]": memory.rss / 2**20,
+        "PSS [MiB]": memory.pss / 2**20,
+        "USS [MiB]": memory.uss / 2**20,
+        "threads": process.num_threads(),
+        "context switches [1/s]": (sum(process.num_ctx_switches()) - switches) / seconds,
+    }
+
+
+@contextmanager
+def system(home: Path, options: list[str]) -> Iterator[Instance]:
+    """The whole system, up and down again."""
+    environment = os.environ | {"VALOR_HOME": str(home), "VALOR_INSTANCE": INSTANCE}
+
+    def valorctl(*arguments: str) -> None:
+        result = subprocess.run(
+            [str(VALORCTL), *arguments], env=environment, capture_output=True, text=True, check=False
+        )
+        if result.returncode:
+            sys.exit(f"valorctl {' '.join(arguments)}: {result.stderr.strip()}")
+
+    valorctl("up", *options)
+    try:
+        yield Instance(INSTANCE, home)
+    finally:
+        valorctl("down")
+
+
+def measure(options: argparse.Namespace) -> tuple[list[Row], dict[str, float]]:
+    """Everything, in one run."""
+    with tempfile.TemporaryDirectory(prefix="valor-") as folder, system(Path(folder), options.up) as instance:
+        os.environ.update(instance.environment())
+        robot = RobotDescription.load(instance.settings().robot)
+        ears = Ears()
+        with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+            time.sleep(SETTLING)
+            costs = cost(node, options.seconds / 2)
+            bare, ros, action = measure_floor(ears, robot, options.seconds)
+            state = measure_state(ears, node, options.seconds)
+            accepted, reported = measure_modes(ears, options.changes)
+            to_setpoint, to_motor, to_joint = measure_commands(ears, node, robot, options.commands)
+    return [
+        Row("bare pyzmq, one way", [bare], None, "", ""),
+        Row("bare rclpy, one way", [ros], None, "", ""),
+        Row("state: Proprioceptor → /joint_states", state, bare + ros, "2 × floor", "40 ms"),
+        Row("mode: commanded → accepted", accepted, action, "15 ms", ""),
+        Row("mode: commanded → reported", reported, action, "15 ms", "49 ms"),
+        Row("joint: reference → JointSetpoints", to_setpoint, ros, "", ""),
+        Row("joint: reference → Motor", to_motor, ros + bare, "8 + 2 ms", ""),
+        Row("joint: Motor → Proprioceptor moves", to_joint, None, "", "335 ms in all"),
+    ], costs
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of state, and of floor")
+    parser.add_argument("--changes", type=int, default=40, help="of the control mode")
+    parser.add_argument("--commands", type=int, default=40, help="of a joint")
+    parser.add_argument("--floor", nargs=2, type=int, help=argparse.SUPPRESS)
+    parser.add_argument("up", nargs="*", help="options of `valorctl up`, after --")
+    options = parser.parse_args()
+    if options.floor:
+        serve_floor(*options.floor)
+        return
+    load = os.getloadavg()[0]
+    rows, costs = measure(options)
+    console = Console(width=130)
+    table = Table(
+        title=f"Pathways [ms], load {load:.1f} before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores"
+    )
+    for heading in ("pathway", "median", "95 %", "max", "count", "floor", "median / floor", "aim", "thesis"):
+        table.add_column(heading, justify="left" if heading == "pathway" else "right")
+    for row in rows:
+        samples = np.array(row.samples) * 1e3
+        median = float(np.median(samples))
+        floor = ("–", "–") if row.floor is None else (f"{row.floor * 1e3:.2f}", f"{median / row.floor / 1e3:.1f}")
+        table.add_row(
+            row.pathway,
+            f"{median:.2f}",
+            *((f"{np.quantile(samples, 0.95):.2f}", f"{samples.max():.2f}") if len(samples) > 1 else ("", "")),
+            str(len(samples)),
+            *floor,
+            row.aim,
+            row.thesis,
+        )
+    console.print(table)
+    console.print("valor_ros_controller: " + ", ".join(f"{name} {value:.1f}" for name, value in costs.items()))
+
+
+if __name__ == "__main__":
+    main()
