@@ -9,9 +9,9 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from valor_common.errors import ConfigurationError
 from valor_common.resources import middleware_profile
@@ -20,6 +20,18 @@ DEFAULT_NAME = "default"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 
 ClockMode = Literal["lockstep", "realtime"]
+
+
+class Recording(BaseModel):
+    """What the recorder keeps, and in which pieces."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    only: tuple[str, ...] = ()  # shell patterns of topics' names in the bag; none: all
+    without: tuple[str, ...] = ()  # and of those left out
+    split_bytes: Annotated[int, Field(ge=1 << 20)] | None = None  # of a bag, after which the next begins [B]
+    split_seconds: Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None  # [s]
+    ring_seconds: Annotated[float, Field(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
 
 
 class Settings(BaseModel):
@@ -36,6 +48,7 @@ class Settings(BaseModel):
     real_time_factor: float = 1.0  # lockstep is paced to this; 0: as fast as it goes
     ros_domain_id: int
     bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
+    recording: Recording = Recording()
 
 
 class Instance:

@@ -263,6 +263,23 @@ class PushReply(Message):
     reason: str
 
 
+# --- bag recorder --------------------------------------------------------------------------------------------------
+
+
+class SnapRequest(Message):
+    """Save the last seconds, of a recorder that holds them."""
+
+
+class SnapReply(Message):
+    """The bag in which they are, or why not."""
+
+    accepted: bool
+    path: str
+    messages: int
+    seconds: float  # from the first message's coming to the last's [s]
+    reason: str
+
+
 # --- every service ------------------------------------------------------------------------------------------------
 
 

@@ -69,8 +69,9 @@ TOPICS: tuple[Topic, ...] = (
 BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,      m.BehaviorReply,      _MOTION, "go to a behavior")
 FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest,  m.FootstepPlanReply,  _MOTION, "execute, update or stop a footstep plan")
 PUSH          = ServiceTopic("simulation/push",              m.PushRequest,          m.PushReply,          _COMMS,  "push the chest; simulation only")
+SNAP          = ServiceTopic("bag_recorder/snap",            m.SnapRequest,          m.SnapReply,          _RECORDER, "save the last seconds that the recorder holds")
 # fmt: on
 
-SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, FOOTSTEP_PLAN, PUSH)
+SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, FOOTSTEP_PLAN, PUSH, SNAP)
 
 STATISTICS: dict[str, Topic] = {topic.publisher: topic for topic in TOPICS if topic.type is m.Statistics}

@@ -9,13 +9,13 @@ import json
 import os
 import socket
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import bifrost
 from valor_common import worlds
 from valor_common.errors import ConfigurationError, ValorError
-from valor_common.instance import ClockMode, Instance, Settings
+from valor_common.instance import ClockMode, Instance, Recording, Settings
 from valor_common.resources import profile_file, robot_folder
 from valor_common.robot import RobotDescription
 from valorctl.profile import Profile
@@ -36,6 +36,7 @@ class Request:
     world: str | None = None
     real_time_factor: float | None = None
     bag: Path | None = None
+    recording: Recording = field(default_factory=Recording)
     initial_mode: str | None = None  # empty: leave the robot as it starts
 
 
@@ -67,6 +68,7 @@ def plan(request: Request) -> Plan:
         real_time_factor=(defaults.real_time_factor if request.real_time_factor is None else request.real_time_factor),
         ros_domain_id=0,
         bag=_bag(request.bag),
+        recording=request.recording,
     )
     _expect("--actuators", settings.actuators, tuple(robot.tables.actuators))
     worlds.check(settings.world, "--world")

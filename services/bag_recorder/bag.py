@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from mcap.writer import CompressionType, Writer
 
@@ -14,12 +15,24 @@ PROFILE = "ros2"
 
 @dataclass(frozen=True, eq=False)
 class RecordedTopic:
-    """A topic as the bag knows it: ROS type, its definition, and the QoS that its publishers offered."""
+    """A topic as the bag knows it: ROS type, its definition, and the QoS that its publishers offered.
+
+    Attributes:
+        latched: whoever comes late still gets the last message, so every bag begins with it.
+    """
 
     name: str
     type: str
     definition: str
     qos: str = ""
+    latched: bool = False
+
+
+class Sink(Protocol):
+    """Where messages go."""
+
+    def write(self, topic: RecordedTopic, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
+        """Add a message; see ``Bag.write``."""
 
 
 class _File:
@@ -55,7 +68,7 @@ class Bag:
 
     Attributes:
         path: the file.
-        messages: written so far.
+        written: messages so far, by topic.
 
     Raises:
         OSError: by the constructor and by every method that writes.
@@ -63,7 +76,7 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.messages = 0
+        self.written: dict[str, int] = {}
         self._file = _File(path)
         self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
         self._writer.start(PROFILE, "valor")
@@ -88,7 +101,17 @@ class Bag:
         if channel is None:
             channel = self._open_channel(topic)
         self._writer.add_message(channel, log_time, data, publish_time, sequence & 0xFFFFFFFF)
-        self.messages += 1
+        self.written[topic.name] += 1
+
+    @property
+    def messages(self) -> int:
+        """Written so far."""
+        return sum(self.written.values())
+
+    @property
+    def size(self) -> int:
+        """Of the file so far [B]."""
+        return self._file.tell()
 
     def flush(self) -> None:
         """Hand everything so far to the system."""
@@ -113,4 +136,5 @@ class Bag:
         metadata = {"offered_qos_profiles": topic.qos} if topic.qos else {}
         channel: int = self._writer.register_channel(topic.name, "cdr", schema, metadata)
         self._channels[topic] = channel
+        self.written.setdefault(topic.name, 0)
         return channel

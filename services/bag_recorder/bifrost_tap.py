@@ -7,9 +7,10 @@ import struct
 from collections.abc import Sequence
 
 import bifrost
-from bag_recorder.bag import Bag, RecordedTopic
+from bag_recorder.bag import RecordedTopic, Sink
 from bag_recorder.clock import WallClock
 from bag_recorder.definitions import definition
+from bag_recorder.selection import EVERYTHING, Selection
 from bag_recorder.twin import TwinEncoder, twin_type
 from valor_common.topics import TOPICS, Topic
 
@@ -28,34 +29,49 @@ class _Tap:
         self.encode = TwinEncoder(topic.type).encode
         name = twin_type(topic.type)
         self.recorded = RecordedTopic(PREFIX + topic.name, name, definition(name))
+        self.received = self.unwritten = 0
         self.unfit = 0  # messages that have no twin: an integer beyond 64 signed bits
+
+    @property
+    def dropped(self) -> int:
+        """Lost on the way here, refused, not convertible, or come while no bag could take them."""
+        return self.subscriber.drops + self.subscriber.rejected + self.unfit + self.unwritten
 
 
 class BifrostTap:
-    """Subscribes to every topic that is recorded, and moves what has come into the bag."""
+    """Subscribes to every topic that is recorded, and hands on what has come."""
 
-    def __init__(self, node: bifrost.Node, clock: WallClock, topics: Sequence[Topic] = TOPICS) -> None:
+    def __init__(
+        self,
+        node: bifrost.Node,
+        clock: WallClock,
+        topics: Sequence[Topic] = TOPICS,
+        selection: Selection = EVERYTHING,
+    ) -> None:
         self._offset = clock.offset
-        self._taps = [_Tap(node, topic) for topic in topics if topic.record_every > 0]
+        self._taps = [
+            _Tap(node, topic) for topic in topics if topic.record_every > 0 and PREFIX + topic.name in selection
+        ]
 
     @property
-    def drops(self) -> int:
-        """Messages lost on the way here, refused or not convertible, since start."""
-        return sum(tap.subscriber.drops + tap.subscriber.rejected + tap.unfit for tap in self._taps)
+    def counts(self) -> dict[str, tuple[int, int]]:
+        """Received and dropped since start, by topic."""
+        return {tap.recorded.name: (tap.received, tap.dropped) for tap in self._taps}
 
-    def drain(self, bag: Bag | None) -> int:
-        """Write what waits; without a bag it is let go. Returns how many messages there were.
+    def drain(self, sink: Sink | None) -> None:
+        """Hand on what waits; without a sink it is let go.
 
         Both times of a message are its publication on the wall clock: when it was drained says nothing of it.
 
         Raises:
             OSError: the bag cannot be written.
         """
-        offset, count = self._offset, 0
+        offset = self._offset
         for tap in self._taps:
             waiting = tap.subscriber.drain()
-            count += len(waiting)
-            if bag is None:
+            tap.received += len(waiting)
+            if sink is None:
+                tap.unwritten += len(waiting)
                 continue
             for received in waiting:
                 sequence = received.sequence
@@ -69,5 +85,4 @@ class BifrostTap:
                     if tap.unfit == 1:
                         _log.warning("%s: not recorded: %s", tap.recorded.name, error)
                     continue
-                bag.write(tap.recorded, stamp, stamp, sequence, data)
-        return count
+                sink.write(tap.recorded, stamp, stamp, sequence, data)

@@ -17,8 +17,10 @@ import yaml
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from bag_recorder.bag import Bag, RecordedTopic
+from bag_recorder.bag import RecordedTopic, Sink
+from bag_recorder.clock import WallClock
 from bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
+from bag_recorder.selection import Selection
 
 DEPTH = 2000  # messages a topic that may wait for the next look
 
@@ -26,13 +28,31 @@ _log = logging.getLogger("bag_recorder")
 
 
 class _Tap:
-    """One topic's subscription."""
+    """One topic's subscription.
+
+    Attributes:
+        received, unwritten: messages so far, and those of them that no bag could take.
+        lost: messages that the one publisher sent and that never came; not known where there are several.
+    """
 
     def __init__(self, node: Any, topic: RecordedTopic, message_type: type, qos: QoSProfile) -> None:
         self.topic = topic
         self.message_type = message_type
         self.qos = qos
+        self.received = self.unwritten = self.lost = 0
+        self.publishers = 0
+        self._last = 0
         self.subscription = node.create_subscription(message_type, topic.name, _unused, qos, raw=True)
+
+    def follow(self, sequence: int) -> None:
+        """Count what is missing before a message of the publisher's count ``sequence``."""
+        if self.publishers == 1 and 0 < self._last < sequence:
+            self.lost += sequence - self._last - 1
+        self._last = sequence  # one that begins anew comes from a new publisher
+
+    def resubscribed(self, before: _Tap) -> None:
+        """Go on with the counts of the subscription that this one replaces."""
+        self.received, self.unwritten, self.lost = before.received, before.unwritten, before.lost
 
 
 def _unused(_: bytes) -> None:
@@ -42,7 +62,8 @@ def _unused(_: bytes) -> None:
 class RosTap:
     """Discovers topics, subscribes with a QoS that suits all their publishers, and moves what has come into the bag."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, clock: WallClock, selection: Selection) -> None:
+        self._clock, self._selection = clock, selection
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
         self._node = rclpy.create_node(
@@ -59,10 +80,15 @@ class RosTap:
         self._node.destroy_node()
         self._context.try_shutdown()
 
+    @property
+    def counts(self) -> dict[str, tuple[int, int]]:
+        """Received and dropped since start, by topic."""
+        return {name: (tap.received, tap.lost + tap.unwritten) for name, tap in self._taps.items()}
+
     def discover(self) -> None:
         """Subscribe to topics that are new, and anew to those whose publishers now offer less than was asked for."""
         for name, types in self._node.get_topic_names_and_types():
-            if name in self._refused or _hidden(name):
+            if name in self._refused or _hidden(name) or name not in self._selection:
                 continue
             publishers = [
                 each
@@ -78,37 +104,40 @@ class RosTap:
             elif _asks_less(qos, tap.qos):
                 self._node.destroy_subscription(tap.subscription)
                 self._taps[name] = _Tap(self._node, tap.topic, tap.message_type, qos)
+                self._taps[name].resubscribed(tap)
+            if name in self._taps:
+                self._taps[name].publishers = len(publishers)
 
-    def drain(self, bag: Bag | None) -> int:
-        """Write what waits; without a bag it is let go. Returns how many messages there were.
+    def drain(self, sink: Sink | None) -> None:
+        """Hand on what waits; without a sink it is let go.
 
-        ``log_time`` is when the middleware received a message, ``publish_time`` when it was sent.
+        ``log_time`` is when the middleware received a message, ``publish_time`` when it was sent, both on the wall
+        clock as it went at start.
 
         Raises:
             OSError: the bag cannot be written.
         """
-        count = 0
+        drift = self._clock.drift
         for tap in self._taps.values():
             handle, message_type = tap.subscription.handle, tap.message_type
             with handle:
                 while (taken := handle.take_message(message_type, True)) is not None:
-                    count += 1
-                    if bag is not None:
-                        data, info = taken
-                        bag.write(
-                            tap.topic,
-                            info["received_timestamp"],
-                            info["source_timestamp"],
-                            info["publication_sequence_number"] or 0,
-                            data,
-                        )
-        return count
+                    data, info = taken
+                    sequence = info["publication_sequence_number"] or 0
+                    tap.received += 1
+                    tap.follow(sequence)
+                    if sink is None:
+                        tap.unwritten += 1
+                        continue
+                    received, sent = info["received_timestamp"] - drift, info["source_timestamp"] - drift
+                    sink.write(tap.topic, received, sent, sequence, data)
 
     def _subscribe(self, name: str, types: list[str], qos: QoSProfile) -> None:
         try:
             if len(types) > 1:
                 raise UnknownTypeError(f"it has more than one type: {', '.join(sorted(types))}")
-            topic = RecordedTopic(name, types[0], definition(types[0]), _qos_text(qos))
+            latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            topic = RecordedTopic(name, types[0], definition(types[0]), _qos_text(qos), latched)
             self._taps[name] = _Tap(self._node, topic, _message_type(types[0]), qos)
         except UnknownTypeError as error:
             self._refused.add(name)

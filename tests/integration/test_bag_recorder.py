@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import resource
 import shutil
 import threading
@@ -15,6 +16,7 @@ import numpy as np
 import psutil
 import pytest
 import rclpy
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rclpy.action import ActionServer
 from rclpy.context import Context
@@ -30,11 +32,14 @@ import bifrost
 from bag_recorder.bag import Bag
 from bag_recorder.bifrost_tap import BifrostTap
 from bag_recorder.clock import WallClock
+from bag_recorder.last_seconds import AFTER_FALL
 from tests.conftest import RunningInstance, wait_until
+from tests.unit.motion_states import motion_state
 from valor_common.bag_recovery import recover
-from valor_common.messages import JointSetpoints, Motor, Statistics
+from valor_common.instance import Recording
+from valor_common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
 from valor_common.service import EXIT_CONFIGURATION
-from valor_common.topics import JOINT_SETPOINTS, MOTOR, STATISTICS
+from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
 
 JOINTS = 38
 SECOND = 1_000_000_000
@@ -319,13 +324,12 @@ def test_a_topic_keeps_every_nth_message_or_none(instance: RunningInstance, tmp_
     bag = Bag(tmp_path / "a.mcap")
     node = instance.node()
     motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
-    heard: list[int] = []
 
     def all_heard() -> bool:
-        heard.append(tap.drain(bag))
-        sent = motors.publish(motor(0))
+        tap.drain(bag)
+        motors.publish(motor(0))
         setpoints.publish(JointSetpoints(0, [], *np.zeros((3, 0))))
-        return sum(heard) >= 30 and sent > 0
+        return tap.counts["/bifrost/" + MOTOR.name][0] >= 30
 
     wait_until(all_heard, 20.0, "thirty messages")
     bag.close()
@@ -335,7 +339,7 @@ def test_a_topic_keeps_every_nth_message_or_none(instance: RunningInstance, tmp_
     sequences = [sequence for _, sequence in found]
     assert sequences == list(range(sequences[0], sequences[-1] + 1, 3))
     assert all(sequence % 3 == 0 for sequence in sequences) and len(sequences) >= 9
-    assert tap.drops == 0
+    assert {dropped for _, dropped in tap.counts.values()} == {0}
 
 
 @pytest.mark.parametrize(
@@ -362,3 +366,132 @@ def test_a_bag_that_exists_is_kept(instance: RunningInstance) -> None:
     assert instance.stop("bag_recorder") == 0
     assert wanted.read_bytes() == b"precious"
     assert recover(path).finished
+
+
+def metadata(path: Path, name: str) -> list[dict[str, str]]:
+    with open(path, "rb") as file:
+        return [record.metadata for record in make_reader(file).iter_metadata() if record.name == name]
+
+
+def test_what_became_of_each_topic_is_in_the_bag_and_in_the_log(instance: RunningInstance, ros: Node) -> None:
+    chatter = ros.create_publisher(String, "/chatter", RELIABLE)
+    path = recorder(instance)
+    node = instance.node()
+    motors = node.publisher(MOTOR.name, Motor)
+    extra = connect(path, motors, motor(0))
+    wait_until(chatter.get_subscription_count, 20.0, "the recorder subscribes")
+    for number in range(100):
+        motors.publish(motor(number))
+        chatter.publish(String(data=str(number)))
+    wait_until(lambda: has(path, "/chatter", 100), 20.0, "ROS is in the bag", 0.3)
+    wait_until(lambda: has(path, "/bifrost/" + MOTOR.name, 100 + extra), 20.0, "so is Bifrost", 0.3)
+    assert instance.stop("bag_recorder") == 0
+
+    (found,) = metadata(path, "topics")
+    told = {topic: json.loads(text) for topic, text in found.items()}
+    assert told["/chatter"] == {"received": 100, "dropped": 0, "written": 100}
+    assert told["/bifrost/" + MOTOR.name] == {"received": 100 + extra, "dropped": 0, "written": 100 + extra}
+    assert {topic: count for topic, count in counts(path).items() if count} == {
+        topic: each["written"] for topic, each in told.items() if each["written"]
+    }
+    (clock,) = metadata(path, "clock")
+    assert clock["steps"] == "0" and abs(int(clock["drift_ns"])) < SECOND
+    (line,) = [line for line in instance.log("bag_recorder").splitlines() if " /chatter " in line]
+    assert line.split()[-3:] == ["100", "100", "0"]
+
+
+def test_only_topics_that_are_asked_for_are_recorded(instance: RunningInstance, ros: Node) -> None:
+    instance.configure(recording=Recording(only=("/bifrost/motion_manager/*", "/chatter"), without=("*_setpoints",)))
+    wanted, other = (ros.create_publisher(String, name, KEPT) for name in ("/chatter", "/noise"))
+    path = recorder(instance)
+    node = instance.node()
+    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    connect(path, motors, motor(0))
+    setpoints.publish(JointSetpoints(0, [], *np.zeros((3, 0))))
+    other.publish(String(data="not this"))
+    wanted.publish(String(data="this"))
+    wait_until(lambda: has(path, "/chatter", 1), 20.0, "what is wanted is in the bag", 0.2)
+    assert instance.stop("bag_recorder") == 0
+    assert set(counts(path)) == {"/bifrost/" + MOTOR.name, "/chatter"}
+
+
+def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
+    instance: RunningInstance, ros: Node
+) -> None:
+    description = ros.create_publisher(String, "/robot_description", KEPT)
+    description.publish(String(data="<robot/>"))
+    instance.configure(recording=Recording(split_bytes=1 << 20))
+    path = recorder(instance)
+    node = instance.node()
+    stream = Stream(node.publisher(MOTOR.name, Motor), 800.0)
+    stream.start()
+    wait_until(lambda: len(bags(instance)) >= 3, 60.0, "two bags are full", 0.1)
+    stream.stop()
+    assert instance.stop("bag_recorder") == 0
+    made = bags(instance)
+    assert made[0] == path and all(recover(each).finished for each in made)
+    sequences = []
+    for each in made:
+        assert counts(each)["/robot_description"] == 1
+        with open(each, "rb") as file:
+            sequences += [m.sequence for _, c, m in make_reader(file).iter_messages() if c.topic.endswith("/motor")]
+    assert sequences == list(range(sequences[0], sequences[-1] + 1))
+    assert sequences[-1] == stream.sent[-1][0]
+    told = [json.loads(metadata(each, "topics")[0]["/bifrost/" + MOTOR.name]) for each in made]
+    assert [each["received"] for each in told] == [each["written"] for each in told]
+    with AnyReader(made) as reader:  # the row reads as one bag
+        assert reader.message_count == sum(sum(counts(each).values()) for each in made)
+
+
+def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningInstance, ros: Node) -> None:
+    description = ros.create_publisher(String, "/robot_description", KEPT)
+    description.publish(String(data="<robot/>"))
+    instance.configure(recording=Recording(ring_seconds=2.0))
+    instance.start("bag_recorder")
+    instance.wait_ready("bag_recorder")
+    assert bags(instance) == []
+    node = instance.node()
+    client = node.client(SNAP.name, SnapRequest, SnapReply)
+    stream = Stream(node.publisher(MOTOR.name, Motor), 100.0)
+    stream.start()
+    states = node.publisher(MOTION_STATE.name, MotionState)
+    wait_until(lambda: len(stream.sent) > 300, 30.0, "more than fits in two seconds")
+
+    reply = client.call(SnapRequest(), timeout=20.0)
+    assert reply.accepted, reply.reason
+    saved = Path(reply.path)
+    assert bags(instance) == [saved] and saved.stem.endswith("_snap") and recover(saved).finished
+    found = counts(saved)
+    assert found["/robot_description"] == 1 and sum(found.values()) == reply.messages
+    assert 0 < found["/bifrost/" + MOTOR.name] < len(stream.sent) - 50
+    assert newest(saved, "/bifrost/" + MOTOR.name) > 250
+
+    def fallen() -> list[Path]:
+        states.publish(motion_state(behavior="fall", contacts=np.zeros(2, np.uint8)))
+        return [each for each in bags(instance) if "_fall" in each.stem]
+
+    began = time.monotonic()
+    (fall,) = wait_until(fallen, 30.0, "the fall is saved", 0.05)
+    assert time.monotonic() - began >= AFTER_FALL
+    wait_until(lambda: metadata_of_finished(fall), 20.0, "all of it", 0.1)
+    assert counts(fall)["/bifrost/" + MOTION_STATE.name] > 1
+    for _ in range(20):
+        fallen()
+    assert len(bags(instance)) == 2, "a fall is saved once"
+    stream.stop()
+    assert instance.stop("bag_recorder") == 0
+    assert len(bags(instance)) == 2
+
+
+def metadata_of_finished(path: Path) -> bool:
+    try:
+        return bool(metadata(path, "topics"))
+    except McapError:
+        return False
+
+
+def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance) -> None:
+    recorder(instance)
+    client = instance.node().client(SNAP.name, SnapRequest, SnapReply)
+    reply = client.call(SnapRequest(), timeout=20.0)
+    assert not reply.accepted and "everything is being recorded" in reply.reason

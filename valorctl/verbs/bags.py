@@ -1,4 +1,4 @@
-"""``bag``: what a recording holds, and mending one that was cut short."""
+"""``bag``: what a recording holds, mending one that was cut short, saving the last seconds."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from valor_common.instance import Instance
 from valorctl.console import rich_console, say, say_json
 
 bag = typer.Typer(name="bag", help="Look into recordings, and mend them.", no_args_is_help=True)
@@ -43,6 +44,20 @@ def info(file: File, json: Annotated[bool, typer.Option("--json", help="As JSON.
     for topic in summary.topics:
         table.add_row(topic.name, topic.type, str(topic.messages), f"{topic.rate:.1f}")
     console.print(table)
+
+
+@bag.command()
+def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+    """Save the last seconds, of a recorder that holds them (up --bag-ring)."""
+    from valorctl import bag_snap, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    reply = bag_snap.snap(instance)
+    if json:
+        say_json({"file": reply.path, "messages": reply.messages, "seconds": reply.seconds})
+    else:
+        say(f"{reply.path}: {reply.seconds:.1f} s, {reply.messages} messages")
 
 
 @bag.command()

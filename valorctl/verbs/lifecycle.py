@@ -34,17 +34,30 @@ def up(
         float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
     ] = None,
     bag: Annotated[Path | None, typer.Option(help="The recorder's file, .mcap.")] = None,
+    bag_only: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Record only topics like '/bifrost/*'; may be repeated.")
+    ] = None,
+    bag_without: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Leave out topics like '*/statistics'; may be repeated.")
+    ] = None,
+    bag_split: Annotated[
+        list[str] | None, typer.Option(metavar="SIZE|TIME", help="Begin a new bag every 500MB, 2GB, 60s or 10min.")
+    ] = None,
+    bag_ring: Annotated[
+        float | None, typer.Option(metavar="S", help="Hold the last seconds; save them on a fall or `bag snap`.")
+    ] = None,
     initial_mode: Annotated[
         str | None, typer.Option(help="Control mode to bring the robot to; '' leaves it as it starts.")
     ] = None,
 ) -> None:
     """Start a system; returns when every process is ready and the robot is in its initial mode."""
-    from valorctl import instance_setup, startup
+    from valorctl import instance_setup, recording_options, startup
 
     instance = Instance.from_environment()
+    recording = recording_options.recording(bag_only or (), bag_without or (), bag_split or (), bag_ring)
     began = time.monotonic()
     plan = instance_setup.plan(
-        instance_setup.Request(profile, robot, clock, actuators, seed, world, rtf, bag, initial_mode)
+        instance_setup.Request(profile, robot, clock, actuators, seed, world, rtf, bag, recording, initial_mode)
     )
     with progress() as shown, Interruption() as interruption:
         settings = startup.bring_up(instance, plan, shown, interruption)

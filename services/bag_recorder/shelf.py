@@ -1,0 +1,220 @@
+"""The bags of a recorder, one after the other: where each goes, what stands in it beside messages, how it ends."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+import socket
+import time
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+
+from bag_recorder import tally
+from bag_recorder.bag import Bag, RecordedTopic
+from bag_recorder.clock import ClockChange, WallClock
+from valor_common.bag_recovery import BagError, recover
+from valor_common.errors import ConfigurationError
+from valor_common.service import Context
+
+SUFFIX = ".mcap"
+SPACE_KEPT = 64 << 20  # the disk is never filled beyond this [B]
+
+_log = logging.getLogger("bag_recorder")
+
+
+class Shelf:
+    """Begins and finishes bags, and gives each its metadata.
+
+    Args:
+        context: of the recorder.
+        clock: by which it stamps.
+        counts: what was received and dropped since start, by topic.
+
+    Raises:
+        ConfigurationError: the settings name no place for a bag.
+    """
+
+    def __init__(self, context: Context, clock: WallClock, counts: Callable[[], Mapping[str, tuple[int, int]]]) -> None:
+        self._context, self._clock, self._counts = context, clock, counts
+        self._notes = _Notes(context.instance.folder / "bag_recorder.json")
+        self._tally = tally.Tally()
+        self._latched: dict[RecordedTopic, tuple[int, int, bytes]] = {}
+        self.place()
+        self._notes.recover_unfinished()
+
+    def place(self, label: str = "") -> Path:
+        """Where the settings want the next bag; a folder gets a file named by date and time.
+
+        Raises:
+            ConfigurationError: the settings name no place for a bag.
+        """
+        wanted = self._context.settings.bag
+        if wanted is None or wanted.is_dir():
+            folder = wanted or self._context.instance.bags
+            wanted = folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S}{SUFFIX}"
+        elif wanted.suffix != SUFFIX:
+            raise ConfigurationError(f"bag: {wanted}: expected a folder or a name that ends in {SUFFIX}")
+        return wanted.with_stem(f"{wanted.stem}_{label}") if label else wanted
+
+    def remember(self, topic: RecordedTopic, publish_time: int, sequence: int, data: bytes) -> None:
+        """Keep the last message of a latched topic for the bags to come."""
+        self._latched[topic] = (publish_time, sequence, data)
+
+    def begin(self, label: str = "") -> Bag:
+        """A new bag that holds where it comes from.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        path = _unused(self.place(label))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.check_space(path.parent)
+            bag = Bag(path)
+            self._notes.begun(path)
+            bag.add_metadata("valor", self._origin())
+        except OSError as error:
+            error.filename = error.filename or str(path)
+            raise
+        return bag
+
+    def add_latched(self, bag: Bag, log_time: int, but: frozenset[str] = frozenset()) -> None:
+        """Begin a bag with what late-comers still get: the last messages of latched topics, but for some.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        for topic, (publish_time, sequence, data) in self._latched.items():
+            if topic.name not in but:
+                bag.write(topic, log_time, publish_time, sequence, data)
+
+    def finish(self, bag: Bag) -> None:
+        """Add what became of each topic and of the clock, and close the bag.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        received = self._counts()
+        bag.add_metadata("topics", tally.metadata(self._tally.share(received, bag.written)))
+        bag.add_metadata("clock", self._clock.metadata())
+        bag.close()
+        self._tally.settle(received, bag.written)
+        self._notes.finished(bag.path)
+        _log.info("%s: finished with %d messages", bag.path, bag.messages)
+
+    def give_up(self, bag: Bag, error: OSError) -> str:
+        """Writing failed: save what is written. Returns why, in one line."""
+        bag.abandon()
+        self._tally.settle(self._counts(), bag.written)
+        reason = told(error, bag.path)
+        _log.error("stopped recording: %s", reason)
+        try:
+            recover(bag.path)
+            self._notes.finished(bag.path)
+        except (BagError, OSError) as failed:
+            _log.error("left to be finished later: %s", failed)
+        return reason
+
+    def recover_unfinished(self) -> None:
+        """Finish what could not be finished before."""
+        self._notes.recover_unfinished()
+
+    def note(self, bag: Bag, change: ClockChange) -> None:
+        """Write into a bag how the wall clock moved.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        bag.add_metadata(f"clock_{change.kind}", change.metadata())
+
+    def check_space(self, folder: Path) -> None:
+        """See that the disk is not full.
+
+        Raises:
+            OSError: it nearly is.
+        """
+        if shutil.disk_usage(folder).free < SPACE_KEPT:
+            raise OSError(None, f"less than {SPACE_KEPT >> 20} MiB are left on the disk", str(folder))
+
+    def tell(self) -> None:
+        """Print what became of each topic since start."""
+        self._tally.settle(self._counts(), {})
+        for line in tally.table(self._tally.total):
+            _log.info("%s", line)
+
+    def _origin(self) -> dict[str, str]:
+        """Where the bag comes from: enough to repeat what it shows, and to turn its times into monotonic ones."""
+        settings, robot = self._context.settings, self._context.robot
+        return {
+            "instance": self._context.instance.name,
+            "computer": socket.gethostname(),
+            "robot": robot.name,
+            "joints": " ".join(robot.joints),
+            "profile": settings.profile,
+            "clock": settings.clock,
+            "actuators": settings.actuators,
+            "seed": str(settings.seed),
+            "world": settings.world,
+            "started": datetime.now().astimezone().isoformat(),
+            "wall_minus_monotonic_ns": str(self._clock.offset),
+            "wall_clock_drift_ns": str(self._clock.drift),
+        }
+
+
+class _Notes:
+    """A file in the instance's folder that names the bags not finished yet."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def recover_unfinished(self) -> None:
+        """Finish what an earlier run of this instance left."""
+        for path in self._unfinished():
+            try:
+                found = recover(path)
+                _log.info("%s: recovered, %d messages", path, found.messages)
+            except BagError as error:
+                _log.warning("not recovered: %s", error)
+        self._file.unlink(missing_ok=True)
+
+    def begun(self, path: Path) -> None:
+        self._write([*self._unfinished(), path])
+
+    def finished(self, path: Path) -> None:
+        self._write([each for each in self._unfinished() if each != path])
+
+    def _unfinished(self) -> list[Path]:
+        try:
+            return [Path(name) for name in json.loads(self._file.read_text())["unfinished"]]
+        except (OSError, ValueError, KeyError, TypeError):
+            return []
+
+    def _write(self, paths: list[Path]) -> None:
+        if not paths:
+            self._file.unlink(missing_ok=True)
+            return
+        beside = self._file.with_suffix(".new")
+        beside.write_text(json.dumps({"unfinished": [str(path) for path in paths]}))
+        os.replace(beside, self._file)
+
+
+def wall_time(clock: WallClock) -> int:
+    """Now, on the axis of the bag [ns]."""
+    return time.monotonic_ns() + clock.offset
+
+
+def told(error: OSError, path: Path) -> str:
+    """What went wrong with which file, in one line."""
+    return f"{error.filename or path}: {error.strerror or error}"
+
+
+def _unused(path: Path) -> Path:
+    """The path, or with a number where a file stands already: no bag is ever overwritten."""
+    candidate, number = path, 0
+    while candidate.exists():
+        number += 1
+        candidate = path.with_stem(f"{path.stem}_{number}")
+    return candidate
