@@ -9,27 +9,28 @@ import numpy.typing as npt
 
 from valor_common.robot import Foot
 
-Points = Sequence[Sequence[float]]
+Vector = Sequence[float] | npt.NDArray[np.float64]
+Points = Sequence[tuple[float, float]]
 
 
-def outline(position: npt.ArrayLike, rotation: npt.ArrayLike, foot: Foot) -> list[list[float]]:
+def outline(position: Vector, rotation: Sequence[Vector] | npt.NDArray[np.float64], foot: Foot) -> Points:
     """The corners of a sole from above, in order around it: four of (x, y) [m].
+
+    Python floats, for a plan of fifty steps is checked between two periods of control.
 
     Args:
         position: (3,) of the sole's frame [m].
         rotation: (3, 3) of it.
         foot: its size.
     """
-    corners = np.array(
-        (
-            (foot.toe, foot.half_width),
-            (foot.heel, foot.half_width),
-            (foot.heel, -foot.half_width),
-            (foot.toe, -foot.half_width),
-        )
-    )
-    points: list[list[float]] = (corners @ np.asarray(rotation)[:2, :2].T + np.asarray(position)[:2]).tolist()
-    return points
+    x, y = float(position[0]), float(position[1])
+    xx, xy = float(rotation[0][0]), float(rotation[0][1])
+    yx, yy = float(rotation[1][0]), float(rotation[1][1])
+    corners = ((foot.toe, 1.0), (foot.heel, 1.0), (foot.heel, -1.0), (foot.toe, -1.0))
+    return [
+        (x + xx * ahead + xy * side * foot.half_width, y + yx * ahead + yy * side * foot.half_width)
+        for ahead, side in corners
+    ]
 
 
 def overlap(first: Points, second: Points) -> bool:

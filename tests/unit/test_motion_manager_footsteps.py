@@ -179,6 +179,24 @@ def test_no_foot_on_the_other() -> None:
     assert not bench.send([footstep(0, 0, 0.0, narrow)])
 
 
+def test_a_turn_is_that_of_the_headings_however_the_soles_tilt() -> None:
+    """Up one slope and down another, turned as far as may be, seen from a robot that looks aside."""
+    bench = Bench()
+    limits = ROBOT.tables.footsteps
+    assert limits is not None
+    heading, tilt = 1.2, 0.9 * limits.max_tilt
+
+    def sole(yaw: float, pitch: float) -> np.ndarray:
+        cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+        return np.array((cy * cp, -sy * sp, cy * sp, sy * cp))
+
+    bench.soles[1] = level_pose(0.0, 0.0, 0.0, heading)
+    place = 0.3 * np.array((-np.sin(heading), np.cos(heading), 0.0))
+    for turn, refused in ((0.99 * limits.max_yaw, False), (1.01 * limits.max_yaw, True)):
+        asked = Footstep(0, 0, place, sole(heading + turn, tilt), 0.0, 0.0, 0.0)
+        assert ("turned of the other foot" in bench.send([asked])) == refused
+
+
 def test_only_in_step() -> None:
     bench = Bench()
     bench.fsm.go(Behavior.STAND, "test")

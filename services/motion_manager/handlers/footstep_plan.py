@@ -185,9 +185,9 @@ class FootstepPlanHandler:
         place, orientation = asked.position_in_odom, asked.orientation_in_odom
         if place.shape != (3,) or orientation.shape != (4,):
             raise PlanError(f"{name}: position and orientation have {place.size} and {orientation.size} numbers")
-        if not (np.isfinite(place).all() and np.isfinite(orientation).all()):
+        if not all(map(isfinite, (*place.tolist(), *orientation.tolist()))):
             raise PlanError(f"{name}: position or orientation is not finite")
-        if abs(float(np.linalg.norm(orientation)) - 1.0) > NORM:
+        if abs(hypot(*orientation.tolist()) - 1.0) > NORM:
             raise PlanError(f"{name}: the orientation is no unit quaternion")
         height = asked.swing_height or walking.swing_height
         swing = asked.swing_duration or walking.swing_duration

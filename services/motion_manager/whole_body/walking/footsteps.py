@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import acos
+from math import acos, cos, remainder, sin, tau
 from typing import Protocol
 
 import numpy as np
@@ -61,11 +61,12 @@ def reach_refusal(step: Step, other: SolePose, limits: Footsteps) -> str:
         other: the sole of the other foot meanwhile.
         limits: of the robot.
     """
-    way = step.sole.position - other.position
-    forward, lateral, up = rotation.yaw_matrix(rotation.yaw(other.rotation)).T @ way
-    width = float(lateral if step.foot == LEFT else -lateral)
-    turn = step.sole.rotation @ other.rotation.T
-    yaw = rotation.yaw(turn)
+    x, y, up = (step.sole.position - other.position).tolist()
+    heading = rotation.yaw(other.rotation)
+    c, s = cos(heading), sin(heading)
+    forward, lateral = c * x + s * y, c * y - s * x
+    width = lateral if step.foot == LEFT else -lateral
+    yaw = remainder(rotation.yaw(step.sole.rotation) - heading, tau)
     tilt = acos(min(1.0, max(-1.0, float(step.sole.rotation[2, 2]))))
     checks = (
         ("forward", forward, -limits.max_backward, limits.max_forward, "m"),
