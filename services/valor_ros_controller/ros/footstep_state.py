@@ -1,6 +1,7 @@
-"""``/robot_controllers/footstep_controller/execute_feedback``: how far a footstep plan is, for whoever watches.
+"""``/robot_controllers/footstep_controller/controller_state``: what the Motion System says of its steps.
 
-Topic and type are those of ViGIR's step controller, whose actions' feedback messages were topics' types too.
+The type is that of ViGIR's step controller, whose actions' feedback messages were topics' types too. Feedback of a plan
+comes from the Footstep Converter, which knows the plan; this is there without one, too.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 from valor_common.messages import StepStatus
 from valor_ros_controller.controllers.footstep_controller import FootstepController, State
 
-TOPIC = "/robot_controllers/footstep_controller/execute_feedback"
+TOPIC = "/robot_controllers/footstep_controller/controller_state"
 _STEPPING = {
     State.READY: FootstepExecutionStatus.NO_ERROR,
     State.ACTIVE: FootstepExecutionStatus.EXECUTING_STEP_PLAN,
