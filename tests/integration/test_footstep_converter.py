@@ -264,6 +264,7 @@ def test_a_silent_motion_manager_is_told_to_stop(motion: ScriptedMotionManager, 
 
 def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
     """A plan under way."""
+    motion.requests.clear()
     goal = client.send(plan())
     wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
     motion.behavior = "step"
@@ -272,11 +273,33 @@ def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
     return goal
 
 
-def test_a_fall_ends_the_plan(motion: ScriptedMotionManager, ros_client: Client) -> None:
+def test_whatever_ends_the_stepping_ends_the_plan(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    for behavior, expected in [
+        ("fall", S.ERR_FALLEN | S.EMERGENCY_HALT),
+        ("soft_stop", S.EMERGENCY_HALT),
+        ("freeze", S.EMERGENCY_HALT),
+        ("walk", S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT),
+    ]:
+        goal = begin(motion, ros_client)
+        motion.behavior, motion.reason = behavior, f"there was a reason for {behavior}"
+        status, flags, text = ros_client.outcome(goal)
+        assert (status, flags) == (GoalStatus.STATUS_ABORTED, expected)
+        assert f"went to {behavior!r}: {motion.reason}" in text
+        motion.behavior = "stand"
+    assert all(request.steps for request in motion.requests), "the Motion Manager has ended it: nothing to stop"
+
+
+def test_a_change_of_mode_to_stand_ends_the_plan_once_the_robot_stands(
+    motion: ScriptedMotionManager, ros_client: Client
+) -> None:
     goal = begin(motion, ros_client)
-    motion.behavior, motion.reason = "fall", "DCM 0.31 m outside the support polygon"
+    motion.behavior, motion.reason = "stand", "requested by valor_ros_controller"
+    heard = len(goal.feedback)
+    wait_until(lambda: len(goal.feedback) > heard + 3, LIMIT, "feedback while the robot finishes its step")
+    assert goal.result is None
+    motion.says("finished", performed=1, reason=f"stand: {motion.reason}", time=6_000_000_000)
     status, flags, text = ros_client.outcome(goal)
-    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_FALLEN | S.EMERGENCY_HALT)
+    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT)
     assert motion.reason in text
 
 
