@@ -1,6 +1,7 @@
 """One plan from the moment it is handed to the Motion Manager until its end, and how it ended.
 
 Nothing here knows ROS or sockets: what is heard goes in with the time [s] at which it was heard, the outcome comes out.
+How long the robot may take for something is counted in its own time, which goes by slowly in a slow simulation.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatu
 from footstep_converter.plan import PlannedStep, RunningPlan
 from valor_common.messages import StepStatus
 
-SILENCE = 2.0  # without a word of the Motion Manager, it is lost [s]
+SILENCE = 4.0  # without a word of the Motion Manager, it is lost [s]
 START = 2.0  # from acceptance to the first step [s]
-SETTLE = 1.0  # in Stand, from the last word that steps are being taken to the last word about the plan [s]
-STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [s]
+SETTLE = 1.0  # in Stand, from the last word of steps being taken to the last word about the plan [robot time, s]
+STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [robot time, s]
 
 STEPPING = {"step", "step_manipulate"}
 STANDING = {"stand", "stand_manipulate"}
@@ -96,10 +97,11 @@ class Execution:
         self._accepted = now
         self._heard = now
         self._stepped = False  # the Motion Manager was seen in Step
-        self._stood_since: float | None = None  # in Stand, having stepped, since the last word of steps being taken
-        self._stood_time = 0  # robot time at which it was heard to be in Stand [ns]
+        self._time = 0  # robot time heard last [ns]
+        self._stood_since: int | None = None  # in Stand, having stepped, since the last word of steps being taken
         self._recalled = False  # steps were still being taken in Stand: somebody has changed the behavior
         self._stop_asked: float | None = None
+        self._stop_since: int | None = None  # robot time heard first after that [ns]
         self._behavior = self._reason = ""
 
     @property
@@ -129,20 +131,25 @@ class Execution:
 
     def stop_refused(self) -> None:
         """The Motion Manager goes on."""
-        self._stop_asked = None
+        self._stop_asked = self._stop_since = None
 
     def heard_status(self, status: StepStatus, now: float) -> None:
         """A StepStatus. Before this plan executes, it may still be about the one before it."""
-        self._heard = now
+        self._hear(now, status.time)
         if self.outcome is not None:
             return
         if status.state == "executing":
             self._advance(status)
-            if self._stood_since is not None and status.time > self._stood_time:
-                self._stood_since, self._recalled = now, True
+            if self._stood_since is not None and status.time > self._stood_since:
+                self._stood_since, self._recalled = status.time, True
         elif self.status is not None:
             self._advance(status)
             self._ended(status)
+
+    def _hear(self, now: float, time: int) -> None:
+        self._heard, self._time = now, max(self._time, time)
+        if self._stop_asked is not None and self._stop_since is None:
+            self._stop_since = self._time
 
     def _advance(self, status: StepStatus) -> None:
         self.status = status
@@ -168,9 +175,9 @@ class Execution:
         else:
             self.outcome = aborted(_LEFT_FOR.get(self._behavior, _F.ERR_UNKNOWN | _PREMATURE), text)
 
-    def heard_behavior(self, behavior: str, reason: str, now: float, time: int = 0) -> None:
+    def heard_behavior(self, behavior: str, reason: str, now: float, time: int) -> None:
         """The behavior that the Motion Manager is in at robot time ``time`` [ns], and why it went there."""
-        self._heard = now
+        self._hear(now, time)
         self._behavior, self._reason = behavior, reason
         if self.outcome is not None:
             return
@@ -178,7 +185,7 @@ class Execution:
             self._stepped, self._stood_since = True, None
         elif behavior in STANDING:
             if self._stepped and self._stood_since is None:
-                self._stood_since, self._stood_time = now, time
+                self._stood_since = time
         else:
             flags = _LEFT_FOR.get(behavior, _WRONG_BEHAVIOR)
             self.outcome = aborted(flags, f"the Motion Manager went to {behavior!r}: {reason}")
@@ -192,9 +199,9 @@ class Execution:
                 _F.ERR_CONTROLLER_NOT_READY,
                 f"no word of the Motion Manager for {SILENCE:g} s; is it running?",
             )
-        elif self._stop_asked is not None and now - self._stop_asked > STOP:
+        elif self._stop_since is not None and self._time - self._stop_since > STOP * 1e9:
             flags, text = _F.ERR_UNKNOWN, f"the Motion Manager did not confirm the stop within {STOP:g} s"
-        elif self._stood_since is not None and now - self._stood_since > SETTLE:
+        elif self._stood_since is not None and self._time - self._stood_since > SETTLE * 1e9:
             flags = _F.ERR_INVALID_BEHAVIOR_MODE
             text = f"the Motion Manager went to {self._behavior!r} before the plan's end: {self._reason}"
         elif self.status is None and now - self._accepted > START:

@@ -22,6 +22,11 @@ def plan(first: int, last: int) -> list[PlannedStep]:
     return [PlannedStep(i, i % 2, Pose(), 0.0, 0.0, 0.0) for i in range(first, last + 1)]
 
 
+def hear(execution: Execution, behavior: str, reason: str, now: float) -> None:
+    """A behavior, heard when it is so: robot time goes by as the clock does."""
+    execution.heard_behavior(behavior, reason, now, round(now * 1e9))
+
+
 def changed(word: StepStatus, **values: int) -> StepStatus:
     """A copy with other values."""
     return msgspec.structs.replace(word, **values)
@@ -46,7 +51,7 @@ def execution() -> Execution:
 
 
 def test_finished_with_the_last_step_succeeds(execution: Execution) -> None:
-    execution.heard_behavior("step", "", 0.1)
+    hear(execution, "step", "", 0.1)
     execution.heard_status(status("executing"), 0.1)
     execution.heard_status(status("finished", 3), 3.0)
     assert execution.outcome is not None
@@ -81,18 +86,18 @@ def test_an_end_before_the_last_step_is_a_failure_with_its_cause(execution: Exec
     ],
 )
 def test_a_behavior_that_does_not_step_ends_the_plan(execution: Execution, behavior: str, flags: int) -> None:
-    execution.heard_behavior("step", "", 0.1)
+    hear(execution, "step", "", 0.1)
     execution.heard_status(status("executing"), 0.1)
-    execution.heard_behavior(behavior, "because", 0.5)
+    hear(execution, behavior, "because", 0.5)
     assert execution.outcome is not None
     assert (execution.outcome.end, execution.outcome.status) == (End.ABORTED, flags)
     assert execution.outcome.text == f"the Motion Manager went to {behavior!r}: because"
 
 
 def test_the_return_to_stand_waits_for_the_last_word(execution: Execution) -> None:
-    execution.heard_behavior("step_manipulate", "", 0.1)
+    hear(execution, "step_manipulate", "", 0.1)
     execution.heard_status(status("executing"), 0.1)
-    execution.heard_behavior("stand", "plan done", 1.0)
+    hear(execution, "stand", "plan done", 1.0)
     execution.passed(1.0 + 0.9 * SETTLE)
     assert execution.outcome is None
     execution.heard_status(status("finished", 3), 1.0 + 0.95 * SETTLE)
@@ -101,10 +106,10 @@ def test_the_return_to_stand_waits_for_the_last_word(execution: Execution) -> No
 
 
 def test_the_return_to_stand_without_a_word_is_a_failure(execution: Execution) -> None:
-    execution.heard_behavior("step", "", 0.1)
+    hear(execution, "step", "", 0.1)
     execution.heard_status(status("executing"), 0.1)
-    execution.heard_behavior("stand", "commanded", 1.0)
-    execution.heard_behavior("stand", "commanded", 1.0 + 1.1 * SETTLE)
+    hear(execution, "stand", "commanded", 1.0)
+    hear(execution, "stand", "commanded", 1.0 + 1.1 * SETTLE)
     execution.passed(1.0 + 1.1 * SETTLE)
     assert execution.outcome is not None
     assert execution.outcome.status & S.ERR_INVALID_BEHAVIOR_MODE
@@ -113,11 +118,12 @@ def test_the_return_to_stand_without_a_word_is_a_failure(execution: Execution) -
 
 def test_a_change_to_stand_in_mid_plan_is_told_once_the_robot_has_come_to_rest(execution: Execution) -> None:
     """The Motion Manager takes its time to finish the step that is being taken, and says so meanwhile."""
-    execution.heard_behavior("step", "", 0.1)
+    hear(execution, "step", "", 0.1)
     execution.heard_status(status("executing", 0), 0.1)
-    execution.heard_behavior("stand", "requested by valor_ros_controller", 1.0, time=10)
+    hear(execution, "stand", "requested by valor_ros_controller", 1.0)
     for i in range(20):
-        execution.heard_status(changed(status("executing", 0), time=20 + i), 1.0 + 0.5 * i * SETTLE)
+        time = round((1.0 + 0.5 * (i + 1) * SETTLE) * 1e9)
+        execution.heard_status(changed(status("executing", 0), time=time), 1.0 + 0.5 * i * SETTLE)
         execution.passed(1.0 + 0.5 * i * SETTLE)
         assert execution.outcome is None
     execution.heard_status(status("finished", 1, "stand: requested by valor_ros_controller"), 12.0)
@@ -153,7 +159,7 @@ def test_no_index_of_the_progress_goes_back(words: list[tuple[int, int, int]]) -
 
 
 def test_standing_before_the_first_step_is_no_return(execution: Execution) -> None:
-    execution.heard_behavior("stand", "", 0.1)
+    hear(execution, "stand", "", 0.1)
     execution.passed(0.1 + 1.1 * SETTLE)
     assert execution.outcome is None
 
@@ -170,7 +176,7 @@ def test_silence_is_named(execution: Execution) -> None:
 
 
 def test_accepted_but_never_begun_is_named(execution: Execution) -> None:
-    execution.heard_behavior("stand", "", 1.1 * START)
+    hear(execution, "stand", "", 1.1 * START)
     execution.passed(1.1 * START)
     assert execution.outcome is not None
     assert "reports no step" in execution.outcome.text
@@ -194,13 +200,30 @@ def test_a_stop_that_comes_too_late_still_reached_the_goal(execution: Execution)
 
 
 def test_a_stop_never_confirmed_is_named(execution: Execution) -> None:
+    hear(execution, "step", "", 0.1)
     execution.heard_status(status("executing"), 0.1)
     execution.stop_asked(0.5)
-    execution.heard_status(status("executing"), 0.5 + 1.1 * STOP)
-    execution.passed(0.5 + 1.1 * STOP)
+    hear(execution, "step", "", 0.6)
+    hear(execution, "step", "", 0.6 + 1.1 * STOP)
+    execution.passed(0.6 + 1.1 * STOP)
     assert execution.outcome is not None
     assert execution.outcome.end is End.ABORTED
     assert execution.outcome.unconfirmed
+
+
+def test_a_robot_whose_time_goes_by_slowly_is_given_its_time(execution: Execution) -> None:
+    """A stop in a simulation twenty times as slow as the wall: the swing foot comes down when it comes down."""
+    execution.stop_asked(0.5)
+    now, time = 0.6, 100_000_000_000  # the first word comes after the stop
+    while now < 5.0 * STOP:
+        execution.heard_behavior("step", "", now, time)
+        execution.heard_status(changed(status("executing"), time=time), now)
+        execution.passed(now)
+        assert execution.outcome is None
+        now, time = now + 1.0, time + 50_000_000
+    execution.heard_status(status("finished", 1, "stopped"), now)
+    assert execution.outcome is not None
+    assert execution.outcome.end is End.CANCELED
 
 
 def test_an_update_moves_the_goal(execution: Execution) -> None:
@@ -251,7 +274,7 @@ def test_success_is_claimed_only_of_a_finished_plan_and_no_outcome_changes(
         if kind == "status":
             execution.heard_status(status(word, index), now)
         elif kind == "behavior":
-            execution.heard_behavior(word, "", now)
+            hear(execution, word, "", now)
         else:
             execution.stop_asked(now)
         if outcome is not None:
