@@ -74,7 +74,8 @@ def simulate(robot: RobotDescription) -> Iterator[tuple[Topic, Message]]:
             com_in_odom=com, dcm_in_odom=com, dcm_reference_in_odom=com, cop_in_odom=com[:2].copy(),
             contacts=np.ones(2, dtype=np.uint8), contact_probability=np.ones(2),
             pelvis_position_variance=np.zeros(3), pelvis_orientation_variance=np.zeros(3),
-            pelvis_linear_velocity_variance=np.zeros(3), joint_setpoint=reference, pelvis_setpoint=np.zeros(6),
+            pelvis_linear_velocity_variance=np.zeros(3), hand_contacts=np.zeros(2, dtype=np.uint8),
+            left_arm="setpoints", right_arm="setpoints", joint_setpoint=reference, pelvis_setpoint=np.zeros(6),
             pelvis_in_support=np.zeros(6), desired_foot_forces=np.zeros(2),
             qp_status=1, qp_failures=0, torque_saturations=0, tick_time=0.0,
         )  # fmt: skip

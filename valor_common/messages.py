@@ -98,6 +98,9 @@ class MotionState(Message):
     pelvis_position_variance: Float64Array  # (3,) along the axes of odom [m²]; grows with the way, as odometry's error
     pelvis_orientation_variance: Float64Array  # (3,) about the axes of odom [rad²]
     pelvis_linear_velocity_variance: Float64Array  # (3,) along the axes of odom [m²/s²]
+    hand_contacts: Uint8Array  # (2,) left, right hand: 1 in contact, by the force that it feels
+    left_arm: str  # who leads it: nobody, setpoints, hand_goal
+    right_arm: str
     joint_setpoint: Float64Array  # (n,) positions commanded last [rad]; measured ones for joints driven by force alone
     pelvis_setpoint: Float64Array  # (6,) commanded last, as in PelvisSetpoint
     pelvis_in_support: Float64Array  # (6,) estimated, likewise
@@ -127,6 +130,17 @@ class StepStatus(Message):
     last_performed_step_index: int  # -1: none
     executing_step_index: int  # -1: none
     first_changeable_step_index: int  # -1: none
+
+
+class HandGoalStatus(Message):
+    """How a hand fares on its way to a goal."""
+
+    time: int
+    hand: int  # 0 left, 1 right
+    state: str  # idle, moving, reached, out_of_reach
+    reason: str
+    position_error: float  # of the commanded hand [m]
+    orientation_error: float  # [rad]
 
 
 # --- Motion Manager in --------------------------------------------------------------------------------------------
@@ -161,6 +175,32 @@ class PelvisSetpoint(Message):
     time: int  # of the Proprioceptor that it was made for
     position: Float64Array  # (6,) x, y, z [m], roll, pitch, yaw [rad]
     velocity: Float64Array  # (6,) their rates [m/s, rad/s]
+
+
+class HandGoal(Message):
+    """A hand shall be at a pose, and stay there; in the manipulate behaviors."""
+
+    time: int  # of the Proprioceptor that it was made for
+    hand: int  # 0 left, 1 right
+    active: bool  # False: let go, the rest is unread
+    frame: str  # that the pose is given in: pelvis, odom
+    position: Float64Array  # (3,) of the hand's site [m]
+    orientation: Float64Array  # (4,)
+
+
+class JointGains(Message):
+    """Stiffness and damping of joints driven by impedance, while the robot balances; brought within the limits."""
+
+    names: list[str]
+    stiffness: Float64Array  # [N·m/rad]
+    damping: Float64Array  # [N·m·s/rad]
+
+
+class BalanceWeights(Message):
+    """Weights of the Whole-Body Controller's tasks, while the robot balances; brought within the limits."""
+
+    names: list[str]  # com, angular_momentum, orientation, foot, arm_posture, waist_posture, leg_posture
+    weights: Float64Array
 
 
 class BehaviorRequest(Message):

@@ -86,6 +86,8 @@ class Hands(Table):
 
     left: Hand
     right: Hand
+    contact_on: Positive = 15.0  # force from which a hand counts as touching something [N]
+    contact_off: Positive = 8.0  # until here
 
 
 class Imu(Table):
@@ -256,6 +258,23 @@ class Disturbance(Table):
     diagonal_width: Positive = 0.3  # |forward| + width is at most this beyond the longest step [m]
 
 
+class GainLimits(Table):
+    """Between which factors of their servo gains the joints driven by impedance may have others."""
+
+    min_stiffness: NonNegative = 0.1
+    max_stiffness: Positive = 1.5
+    min_damping: NonNegative = 0.5
+    max_damping: Positive = 1.25
+
+
+class HandMotion(Table):
+    """How fast the hands go to Cartesian goals."""
+
+    max_speed: Positive = 0.25  # [m/s]
+    max_turn_rate: Positive = 0.8  # [rad/s]
+    joint_speed: Positive = 0.5  # most of a joint's velocity limit
+
+
 class Estimator(Table):
     """How far the floating-base estimator trusts what it is told."""
 
@@ -306,8 +325,10 @@ class RobotTables(Table):
     whole_body: WholeBody = WholeBody()
     walking: Walking = Walking()
     pelvis: PelvisMotion = PelvisMotion()
-
     disturbance: Disturbance = Disturbance()
+    gains: GainLimits = GainLimits()
+    weight_factor: Annotated[float, Field(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
+    hand_goals: HandMotion = HandMotion()
     estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 

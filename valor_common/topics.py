@@ -51,6 +51,10 @@ STEP_STATUS                   = Topic("motion_manager/step_status",        m.Ste
 JOINT_SETPOINTS               = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,   _VRC,       250.0,        1, "set-points by joint name")
 VELOCITY                      = Topic("motion_manager/velocity",           m.VelocityCommand,  _VRC,       None,         1, "walking velocity; times out")
 PELVIS                        = Topic("motion_manager/pelvis",             m.PelvisSetpoint,   _VRC,       250.0,        1, "where the pelvis shall be")
+HAND_GOAL                     = Topic("motion_manager/hand_goal",          m.HandGoal,         _VRC,       None,         1, "where a hand shall be")
+HAND_GOAL_STATUS              = Topic("motion_manager/hand_goal_status",   m.HandGoalStatus,   _MOTION,    None,         1, "how a hand fares on its way")
+JOINT_GAINS                   = Topic("motion_manager/joint_gains",        m.JointGains,       _VRC,       None,         1, "stiffness and damping")
+BALANCE_WEIGHTS               = Topic("motion_manager/balance_weights",    m.BalanceWeights,   _VRC,       None,         1, "weights of the tasks")
 CONTROL_MODE                  = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,      10.0,         1, "the VRC's control mode")
 GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it")
 MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
@@ -60,7 +64,8 @@ FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Sta
 BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
 
 TOPICS: tuple[Topic, ...] = (
-    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, PELVIS, CONTROL_MODE,
+    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, PELVIS,
+    HAND_GOAL, HAND_GOAL_STATUS, JOINT_GAINS, BALANCE_WEIGHTS, CONTROL_MODE,
     GROUND_TRUTH, MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
     FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
 )

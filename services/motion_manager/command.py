@@ -63,6 +63,12 @@ class MotorCommand:
         """(n,) one mode for each way that joints are driven in operation."""
         return np.where(self.force, force, np.where(self.impedance, impedance, position)).astype(np.uint8)
 
+    def set_gains(self, stiffness: FloatVector, damping: FloatVector) -> None:
+        """Gains (n,) of the joints driven by impedance in operation [N·m/rad, N·m·s/rad]."""
+        self._operation = Drive(
+            self._operation.mode, np.where(self.force, 0.0, stiffness), np.where(self.force, 0.0, damping)
+        )
+
     def limp(self, measured: FloatVector) -> None:
         """No effort, only damping against motion; joints with a position servo of their own are off."""
         self._set(self._limp, measured, self._zeros, self._zeros)

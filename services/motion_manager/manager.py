@@ -13,13 +13,18 @@ from math import acos, degrees
 import numpy as np
 
 from motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from motion_manager.behaviors import BALANCING, Behavior, Locomotion
+from motion_manager.behaviors import BALANCING, Behavior, Locomotion, Manipulation
 from motion_manager.command import MotorCommand
+from motion_manager.hand_contact import HandContacts
+from motion_manager.hand_goals import HandGoals
 from motion_manager.handlers.behavior import BehaviorHandler
 from motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from motion_manager.handlers.hand_goal import HandGoalHandler
 from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from motion_manager.handlers.pelvis import PelvisHandler
+from motion_manager.handlers.tuning import TuningHandler
 from motion_manager.handlers.velocity import VelocityHandler
+from motion_manager.joint_gains import JointGains
 from motion_manager.joint_reference import JointReference
 from motion_manager.posture_control import PostureControl
 from motion_manager.rejections import Rejections
@@ -65,6 +70,8 @@ class MotionManager:
         footstep_handler: answers footstep plans.
         velocity_handler: follows or refuses walking velocities.
         pelvis_handler: follows or refuses where the pelvis shall be.
+        hand_goals: Cartesian goals of the hands; hand_goal_handler: obeys or refuses them.
+        tuning_handler: obeys or refuses joint gains and balance weights.
         in_control: whether a believable Proprioceptor has been answered.
         silent: set by the loop: why no Proprioceptor comes, or an empty text.
     """
@@ -88,7 +95,14 @@ class MotionManager:
         self._posture = PostureControl(robot, self._reference, self._command)
         self._upper_body = UpperBody(robot, self._reference)
         self.behavior_handler = BehaviorHandler(self.fsm, self.rejections, self.conditions, self.out_of_control)
-        self.setpoints_handler = JointSetpointsHandler(robot, self.fsm, self._upper_body, self.rejections)
+        self.hand_goals = HandGoals(model, self._reference, robot.nominal_posture)
+        self.hand_goal_handler = HandGoalHandler(self.fsm, self.hand_goals, self.rejections)
+        self._gains = JointGains(robot, self._command.impedance)
+        self.tuning_handler = TuningHandler(robot, self.fsm, self._gains, self._controller.weights, self.rejections)
+        self._hand_contacts = HandContacts(robot.tables.hands)
+        self.setpoints_handler = JointSetpointsHandler(
+            robot, self.fsm, self._upper_body, self.hand_goals, self.rejections
+        )
         self._velocity_steps = VelocitySteps(robot.tables.walking)
         self._step_queue = StepQueue()
         self._step_sources: dict[Locomotion, StepSource] = {
@@ -187,8 +201,11 @@ class MotionManager:
         if self.fsm.locomotion is not self._locomotion:
             self._enter(state, now)
         self._upper_body.update(now)
+        self._hand_contacts.update(proprioceptor)
+        self.hand_goal_handler.update()
         # Of periods that were missed, at most ten are made up for.
         dt = min(max((self._time - before) * 1e-9, self._dt), 10.0 * self._dt)
+        self.hand_goals.advance(state, now, dt)
         self._reference.advance(now, dt)
         self._drive(state, now, dt)
         self.in_control = True
@@ -229,6 +246,8 @@ class MotionManager:
             if before not in BALANCING:
                 self._detector.reset()
                 self._controller.reset(state)
+                self._gains.reset()
+                self._command.set_gains(self._gains.stiffness, self._gains.damping)
                 self._qp_failures = 0
                 self._blend_began = now
             return
@@ -279,6 +298,8 @@ class MotionManager:
 
     def _balance(self, state: RobotState, now: float, dt: float) -> None:
         self._choose_steps(now)
+        if self._gains.advance():
+            self._command.set_gains(self._gains.stiffness, self._gains.damping)
         reference = self._reference
         command = self._whole_body = self._controller.update(
             state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt
@@ -344,6 +365,9 @@ class MotionManager:
             pelvis_position_variance=state.pelvis_position_variance if state else zeros[:3],
             pelvis_orientation_variance=state.pelvis_orientation_variance if state else zeros[:3],
             pelvis_linear_velocity_variance=state.pelvis_linear_velocity_variance if state else zeros[:3],
+            hand_contacts=self._hand_contacts.contacts,
+            left_arm=self._led_by(0),
+            right_arm=self._led_by(1),
             joint_setpoint=self._command.position,
             pelvis_setpoint=self._controller.pelvis.position,
             pelvis_in_support=self._controller.pelvis.measured(state) if state else np.zeros(6),
@@ -353,6 +377,12 @@ class MotionManager:
             torque_saturations=self._command.saturations,
             tick_time=tick_time,
         )
+
+    def _led_by(self, side: int) -> str:
+        """Who leads an arm from outside (0 left, 1 right)."""
+        if self.fsm.manipulation is not Manipulation.TELEOP:
+            return "nobody"
+        return "hand_goal" if self.hand_goals.leads(side) else "setpoints"
 
     def _dcm_reference(self) -> FloatVector:
         """(3,) where the Whole-Body Controller wants the DCM; where it is, while nobody wants anything."""

@@ -7,12 +7,17 @@ import time
 
 import numpy as np
 
+from motion_manager.hand_goals import SIDES
 from motion_manager.manager import MotionManager
 from valor_common.messages import (
+    BalanceWeights,
     BehaviorReply,
     BehaviorRequest,
     FootstepPlanReply,
     FootstepPlanRequest,
+    HandGoal,
+    HandGoalStatus,
+    JointGains,
     JointSetpoints,
     MotionState,
     Motor,
@@ -25,8 +30,12 @@ from valor_common.messages import (
 from valor_common.model import controller_model
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import (
+    BALANCE_WEIGHTS,
     BEHAVIOR,
     FOOTSTEP_PLAN,
+    HAND_GOAL,
+    HAND_GOAL_STATUS,
+    JOINT_GAINS,
     JOINT_SETPOINTS,
     MOTION_STATE,
     MOTOR,
@@ -39,6 +48,8 @@ from valor_common.topics import (
 
 SETPOINT_QUEUE = 16  # joints' and pelvis': more than that in one control period are dropped and counted
 VELOCITY_QUEUE = 4  # likewise
+DEMAND_QUEUE = 4  # likewise, of what comes on demand: hand goals, gains, weights
+HAND_STATUS_PERIOD = 0.1  # while a goal leads a hand [s of robot time]
 STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
 NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
@@ -62,6 +73,15 @@ class MotionManagerService:
         self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE)
         self._velocity = node.subscriber(VELOCITY.name, VelocityCommand, queue=VELOCITY_QUEUE)
         self._pelvis = node.subscriber(PELVIS.name, PelvisSetpoint, queue=SETPOINT_QUEUE)
+        self._hand_goal = node.subscriber(HAND_GOAL.name, HandGoal, queue=DEMAND_QUEUE)
+        self._hand_status = node.publisher(HAND_GOAL_STATUS.name, HandGoalStatus)
+        self._hand_changes = 0
+        self._hand_status_due = 0
+        self._gains = node.subscriber(JOINT_GAINS.name, JointGains, queue=DEMAND_QUEUE)
+        self._weights = node.subscriber(BALANCE_WEIGHTS.name, BalanceWeights, queue=DEMAND_QUEUE)
+        self._inputs = (
+            self._setpoints, self._velocity, self._pelvis, self._hand_goal, self._gains, self._weights,
+        )  # fmt: skip
         self._behavior = node.server(
             BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle
         )
@@ -116,6 +136,12 @@ class MotionManagerService:
             manager.velocity_handler.handle(command, manager.time)
         for pelvis in self._pelvis.drain():
             manager.pelvis_handler.handle(pelvis, manager.time)
+        for goal in self._hand_goal.drain():
+            manager.hand_goal_handler.handle(goal, manager.time)
+        for gains in self._gains.drain():
+            manager.tuning_handler.handle_gains(gains)
+        for weights in self._weights.drain():
+            manager.tuning_handler.handle_weights(weights)
         self._motor.publish(manager.tick(proprioceptor))
         self._motion_state.publish(manager.report(time.perf_counter() - began))
         if manager.in_control and manager.silent:
@@ -134,16 +160,26 @@ class MotionManagerService:
             self._step_changes = manager.footstep_handler.changes
             self._step_status_due = manager.time + round(STEP_STATUS_PERIOD * 1e9)
             self._step_status.publish(manager.footstep_handler.status(manager.time))
+        self._report_hands()
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes
             _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
         self._statistics.rejected = (
             manager.rejections.total
-            + self._setpoints.rejected
-            + self._velocity.rejected
-            + self._pelvis.rejected
+            + sum(subscriber.rejected for subscriber in self._inputs)
             + self._proprioceptor.rejected
             + self._behavior.rejected
             + self._footstep_plan.rejected
         )
-        self._statistics.drops = manager.missed + self._setpoints.drops + self._velocity.drops + self._pelvis.drops
+        self._statistics.drops = manager.missed + sum(subscriber.drops for subscriber in self._inputs)
+
+    def _report_hands(self) -> None:
+        """On change, and every now and then while a goal leads a hand."""
+        goals, time = self._manager.hand_goals, self._manager.time
+        changed = goals.changes != self._hand_changes
+        due = goals.active and not self._hand_status_due - 1e9 < time < self._hand_status_due
+        if changed or due:
+            self._hand_changes = goals.changes
+            self._hand_status_due = time + round(HAND_STATUS_PERIOD * 1e9)
+            for side in range(len(SIDES)):
+                self._hand_status.publish(goals.status(side, time))

@@ -86,7 +86,8 @@ class ScriptedMotionManager:
                 pelvis_linear_velocity_in_odom=three, pelvis_angular_velocity_in_pelvis=three, com_in_odom=three,
                 dcm_in_odom=three, dcm_reference_in_odom=three, cop_in_odom=np.zeros(2),
                 contacts=np.ones(2, dtype=np.uint8), contact_probability=np.ones(2), pelvis_position_variance=three,
-                pelvis_orientation_variance=three, pelvis_linear_velocity_variance=three, joint_setpoint=np.zeros(38),
+                pelvis_orientation_variance=three, pelvis_linear_velocity_variance=three,
+                hand_contacts=np.zeros(2, dtype=np.uint8), left_arm="", right_arm="", joint_setpoint=np.zeros(38),
                 pelvis_setpoint=np.zeros(6), pelvis_in_support=np.zeros(6), desired_foot_forces=np.zeros(2),
                 qp_status=1, qp_failures=0, torque_saturations=0, tick_time=0.0,
             )  # fmt: skip

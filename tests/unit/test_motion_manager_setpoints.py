@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from bifrost import Received
 from motion_manager.behavior_fsm import BehaviorFsm
 from motion_manager.behaviors import Attention, Behavior, Manipulation
+from motion_manager.hand_goals import HandGoals
 from motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSetpointsHandler
 from motion_manager.joint_reference import JointReference
 from motion_manager.rejections import Rejections
@@ -17,10 +18,12 @@ from motion_manager.upper_body import DWELL, SILENCE, UpperBody
 from tests.conftest import ROBOTS
 from tests.unit.test_motion_manager_limiter import Watch
 from valor_common.messages import JointSetpoints
+from valor_common.model import controller_model
 from valor_common.robot import FloatVector, RobotDescription
 from valor_common.topics import JOINT_SETPOINTS
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
+MODEL = controller_model(ROBOT)
 N = len(ROBOT.joints)
 PERIOD = round(1e9 * ROBOT.control_period)
 ARM = ROBOT.tables.groups["right_arm"]
@@ -45,7 +48,7 @@ class Bench:
         self.reference.take_up(np.ones(N, dtype=bool), ROBOT.nominal_posture)
         self.upper_body = UpperBody(ROBOT, self.reference)
         self.rejections = Rejections()
-        self.handler = JointSetpointsHandler(ROBOT, self.fsm, self.upper_body, self.rejections)
+        self.handler = JointSetpointsHandler(ROBOT, self.fsm, self.upper_body, HandGoals(MODEL, self.reference, ROBOT.nominal_posture), self.rejections)
         self.watch = Watch(ROBOT.nominal_posture)
         for step in PATH[behavior]:
             self.go(step)

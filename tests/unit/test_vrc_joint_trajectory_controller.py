@@ -33,7 +33,7 @@ def motion_state(behavior: str, setpoint) -> MotionState:
     return MotionState(
         0, 0, behavior, behavior, "teleop" if teleop else "slave", "look", "", nothing, np.array([1.0, 0, 0, 0]),
         nothing, nothing, nothing, nothing, nothing, nothing[:2], np.ones(2, np.uint8), np.ones(2), nothing,
-        nothing, nothing, setpoint, np.zeros(6), np.zeros(6), nothing[:2], 1, 0, 0, 0.0,
+        nothing, nothing, np.zeros(2, np.uint8), "", "", setpoint, np.zeros(6), np.zeros(6), nothing[:2], 1, 0, 0, 0.0,
     )  # fmt: skip
 
 

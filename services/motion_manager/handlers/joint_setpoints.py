@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from bifrost import Received
 from motion_manager.behavior_fsm import BehaviorFsm
+from motion_manager.hand_goals import SIDES, HandGoals
 from motion_manager.joint_reference import Setpoint
 from motion_manager.rejections import Rejections
 from motion_manager.upper_body import UpperBody
@@ -47,7 +48,12 @@ class JointSetpointsHandler:
     """
 
     def __init__(
-        self, robot: RobotDescription, fsm: BehaviorFsm, upper_body: UpperBody, rejections: Rejections
+        self,
+        robot: RobotDescription,
+        fsm: BehaviorFsm,
+        upper_body: UpperBody,
+        hand_goals: HandGoals,
+        rejections: Rejections,
     ) -> None:
         self._index = robot.index
         self._lower, self._upper = robot.lower, robot.upper
@@ -56,6 +62,8 @@ class JointSetpointsHandler:
         self._fsm = fsm
         self._upper_body = upper_body
         self._rejections = rejections
+        self._hand_goals = hand_goals
+        self._arms = [set(robot.group_indices(f"{side}_arm").tolist()) for side in SIDES]
         self._layouts: dict[tuple[str, ...], Layout] = {}
 
     def handle(self, received: Received[JointSetpoints], now: int, taken_over: int) -> bool:
@@ -93,6 +101,9 @@ class JointSetpointsHandler:
                     f"joint {layout.first_of[machine]!r} is closed to set-points in behavior "
                     f"{self._fsm.behavior}: {closed}",
                 )
+        for side, arm in enumerate(self._arms):
+            if self._hand_goals.moves(side, now * 1e-9) and (arm & set(layout.joints.tolist())):
+                raise RefusalError("hand_goal", f"the {SIDES[side]} arm follows a hand goal")
         joints = layout.joints
         velocity, acceleration = self._velocity_limit[joints], self._acceleration_limit[joints]
         setpoint = Setpoint(

@@ -30,6 +30,7 @@ from motion_manager.whole_body.state import (
     WholeBodyCommand,
 )
 from motion_manager.whole_body.tasks import Objective
+from motion_manager.whole_body.weights import TaskWeights
 from motion_manager.whole_body.walking.footsteps import StepSource
 from motion_manager.whole_body.walking.gait import Gait
 from valor_common.model import Model
@@ -46,6 +47,7 @@ class WholeBodyController:
     Attributes:
         step_source: where steps come from; None: the robot stands. A gait ends with the source it began with.
         pelvis: where the pelvis shall be, led from outside.
+        weights: of the tasks.
         integral: (3,) of the DCM law [m]: what the model has wrong.
         qp_failures: periods without a solution since the controller was made.
     """
@@ -72,6 +74,7 @@ class WholeBodyController:
         self.pelvis = PelvisReference(model, self._legs)
         self._reference = StandReference(model, omega, self._upper_body, self.pelvis)
         self._objective = Objective(table, joints)
+        self.weights = TaskWeights(table, robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * -float(model.mj.opt.gravity[2])
         self._walking = robot.tables.walking
@@ -126,6 +129,8 @@ class WholeBodyController:
         position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self._law.reset()
+        self.weights.reset()
+        self._objective.weigh(self.weights.values)
         self._stance.reset(state)
         self._gait.stop()
         self._reference.reset(state)
@@ -155,6 +160,8 @@ class WholeBodyController:
         wanted = reference.position[places].copy()
         self._upper_body.update(wanted)
         self.pelvis.advance(1e-9 * state.time, dt)
+        if self.weights.advance():
+            self._objective.weigh(self.weights.values)
         self._step(state, dt)
         self._reference.update(state, dt, (self._gait.dcm, self._gait.vrp) if self._gait.active else None)
         self._operational_tasks(state, dt)

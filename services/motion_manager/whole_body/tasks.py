@@ -11,7 +11,7 @@ has H = Σ wᵢ·JᵢᵀJᵢ + diag(p) and g = Σ wᵢ·Jᵢᵀ(aᵢ − dᵢ) +
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from motion_manager.whole_body.dynamics import (
     ModelJoints,
     sole_rows,
 )
+from motion_manager.whole_body.state import FloatArray
+from motion_manager.whole_body.weights import TASKS
 from valor_common.robot import WholeBody
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks
@@ -41,24 +43,19 @@ class Objective:
     """
 
     def __init__(self, table: WholeBody, joints: ModelJoints) -> None:
-        weights = np.zeros(ROWS)
-        weights[COM] = table.com_weight
-        weights[MOMENTUM] = table.angular_momentum_weight
-        weights[CHEST] = weights[PELVIS] = table.orientation_weight
-        weights[SOLES] = table.foot_weight
-        self._foot_root = sqrt(table.foot_weight)
-        self._swinging: tuple[int | None, float] = (None, 0.0)
-        self._root = np.sqrt(weights)
-        self._root_column = self._root[:, None].copy()
-        posture = np.zeros(joints.count)
-        posture[joints.group("left_leg", "right_leg")] = table.leg_posture_weight
-        posture[joints.group("torso")] = table.waist_posture_weight
-        posture[joints.group("left_arm", "right_arm")] = table.arm_posture_weight
-        self._posture_weight = posture
         nv = joints.count + 6
-        diagonal = np.full(nv, REGULARIZATION)
-        diagonal[6:] += posture
-        self._diagonal = diagonal
+        self._groups = (
+            joints.group("left_arm", "right_arm"),
+            joints.group("torso"),
+            joints.group("left_leg", "right_leg"),
+        )
+        self._foot_root = 0.0
+        self._swinging: tuple[int | None, float] = (None, nan)
+        self._root = np.zeros(ROWS)
+        self._root_column = np.zeros((ROWS, 1))
+        self._posture_weight = np.zeros(joints.count)
+        self._diagonal = np.full(nv, REGULARIZATION)
+        self.weigh(np.array([getattr(table, f"{task}_weight") for task in TASKS]))
         self.acceleration = np.zeros(ROWS)
         self.posture = np.zeros(joints.count)
         self.hessian = np.zeros((nv, nv))
@@ -67,6 +64,19 @@ class Objective:
         self._joint_gradient = self.gradient[6:]
         self._weighted = np.zeros((ROWS, nv))
         self._wanted = np.zeros(ROWS)
+
+    def weigh(self, weights: FloatArray) -> None:
+        """Take (7,) weights in the order of ``TASKS``; ``swing`` is to be called after."""
+        com, momentum, orientation, foot, *posture = weights.tolist()
+        root = self._root
+        root[COM], root[MOMENTUM] = sqrt(com), sqrt(momentum)
+        root[CHEST] = root[PELVIS] = sqrt(orientation)
+        root[SOLES] = self._foot_root = sqrt(foot)
+        self._root_column[:, 0] = root
+        for group, weight in zip(self._groups, posture, strict=True):
+            self._posture_weight[group] = weight
+        self._diagonal[6:] = REGULARIZATION + self._posture_weight
+        self._swinging = (None, nan)  # equals nothing: the next ``swing`` is taken
 
     def swing(self, foot: int | None, weight: float) -> None:
         """The foot that swings from now on (0 left, 1 right; None: neither), and its task's weight."""

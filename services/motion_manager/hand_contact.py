@@ -1,0 +1,32 @@
+"""Whether a hand touches something: by the force that its sensor feels, with hysteresis."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from valor_common.messages import Proprioceptor
+from valor_common.robot import Hands
+
+
+class HandContacts:
+    """Both hands.
+
+    Attributes:
+        contacts: (2,) left, right: 1 in contact; a new array whenever it changes.
+    """
+
+    def __init__(self, hands: Hands) -> None:
+        self._on, self._off = hands.contact_on**2, hands.contact_off**2
+        self.contacts: npt.NDArray[np.uint8] = np.zeros(2, dtype=np.uint8)
+
+    def update(self, proprioceptor: Proprioceptor) -> None:
+        """Take in what the hands' sensors measured."""
+        left, right = self.contacts.tolist()
+        now = (self._touches(proprioceptor.left_hand_wrench, left), self._touches(proprioceptor.right_hand_wrench, right))
+        if now != (left, right):
+            self.contacts = np.array(now, dtype=np.uint8)
+
+    def _touches(self, wrench: npt.NDArray[np.float64], before: int) -> int:
+        x, y, z, *_ = wrench.tolist()
+        return int(x * x + y * y + z * z > (self._off if before else self._on))
