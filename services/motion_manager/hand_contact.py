@@ -23,7 +23,10 @@ class HandContacts:
     def update(self, proprioceptor: Proprioceptor) -> None:
         """Take in what the hands' sensors measured."""
         left, right = self.contacts.tolist()
-        now = (self._touches(proprioceptor.left_hand_wrench, left), self._touches(proprioceptor.right_hand_wrench, right))
+        now = (
+            self._touches(proprioceptor.left_hand_wrench, left),
+            self._touches(proprioceptor.right_hand_wrench, right),
+        )
         if now != (left, right):
             self.contacts = np.array(now, dtype=np.uint8)
 

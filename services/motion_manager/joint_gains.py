@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from motion_manager.joint_reference import Joints
 from valor_common.robot import FloatVector, RobotDescription
@@ -43,7 +44,7 @@ class JointGains:
         """Be nominal, at once: for the beginning of balance."""
         self.stiffness, self.damping = self._asked = self._nominal
 
-    def ask(self, joints: FloatVector, stiffness: FloatVector, damping: FloatVector) -> None:
+    def ask(self, joints: npt.NDArray[np.intp], stiffness: FloatVector, damping: FloatVector) -> None:
         """Go to gains within the limits.
 
         Args:

@@ -48,7 +48,9 @@ class Bench:
         self.reference.take_up(np.ones(N, dtype=bool), ROBOT.nominal_posture)
         self.upper_body = UpperBody(ROBOT, self.reference)
         self.rejections = Rejections()
-        self.handler = JointSetpointsHandler(ROBOT, self.fsm, self.upper_body, HandGoals(MODEL, self.reference, ROBOT.nominal_posture), self.rejections)
+        self.handler = JointSetpointsHandler(
+            ROBOT, self.fsm, self.upper_body, HandGoals(MODEL, self.reference, ROBOT.nominal_posture), self.rejections
+        )
         self.watch = Watch(ROBOT.nominal_posture)
         for step in PATH[behavior]:
             self.go(step)

@@ -30,9 +30,9 @@ from motion_manager.whole_body.state import (
     WholeBodyCommand,
 )
 from motion_manager.whole_body.tasks import Objective
-from motion_manager.whole_body.weights import TaskWeights
 from motion_manager.whole_body.walking.footsteps import StepSource
 from motion_manager.whole_body.walking.gait import Gait
+from motion_manager.whole_body.weights import TaskWeights
 from valor_common.model import Model
 from valor_common.robot import RobotDescription
 

@@ -1,0 +1,163 @@
+"""What only the Motion System has, led from outside: hand goals, joint gains, balance weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bifrost import Received
+from motion_manager.behaviors import Behavior
+from motion_manager.hand_goals import GRACE
+from tests.unit.test_motion_manager_periods import ROBOT, Robot
+from valor_common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
+from valor_common.robot import FloatVector
+
+RIGHT = ROBOT.group_indices("right_arm")
+LEFT = ROBOT.group_indices("left_arm")
+NOBODY = np.array((1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """In Stand Manipulate."""
+    robot = Robot()
+    robot.run(1.0)
+    for behavior in (Behavior.STAND, Behavior.STAND_MANIPULATE):
+        assert not robot.ask(behavior)
+        robot.run(0.5)
+    return robot
+
+
+def goal(robot: Robot, position: FloatVector, **changes: object) -> HandGoal:
+    values: dict[str, object] = {
+        "time": robot.time, "hand": 1, "active": True, "frame": "pelvis", "position": np.asarray(position, dtype=float),
+        "orientation": NOBODY,
+    }  # fmt: skip
+    return HandGoal(**(values | changes))  # type: ignore[arg-type]
+
+
+def lead(robot: Robot, message: HandGoal) -> bool:
+    return robot.manager.hand_goal_handler.handle(Received(message, 0, 1, "somebody"), robot.time)
+
+
+def refusal(robot: Robot) -> str:
+    return robot.manager.rejections.take()[-1].reason
+
+
+def test_a_hand_goes_to_its_goal_and_says_so(robot: Robot) -> None:
+    """Level, 0.4 m before the pelvis and 0.2 m above it; the other arm stays; no joint is too fast."""
+    manager = robot.manager
+    before = manager._reference.position.copy()
+    assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2))))
+    assert manager.report(0.0).right_arm == "hand_goal"
+    assert manager.report(0.0).left_arm == "setpoints"
+    set_points = []
+    for _ in range(round(6.0 / ROBOT.control_period)):
+        robot.tick()
+        set_points.append(manager._reference.position.copy())
+        if manager.hand_goals.status(1, 0).state == "reached":
+            break
+    status = manager.hand_goals.status(1, robot.time)
+    assert status.state == "reached", status
+    assert status.position_error < 0.005
+    rates = np.abs(np.diff(set_points, axis=0)) / ROBOT.control_period
+    assert (rates <= 0.81 * ROBOT.velocity_limit).all()
+    np.testing.assert_allclose(set_points[-1][LEFT], before[LEFT], atol=1e-9)
+
+
+def test_a_goal_out_of_reach_is_approached_and_stated(robot: Robot) -> None:
+    assert lead(robot, goal(robot, np.array((2.0, -0.3, 0.2))))
+    for _ in range(round(12.0 / ROBOT.control_period)):
+        robot.tick()
+        if robot.manager.hand_goals.status(1, 0).state == "out_of_reach":
+            break
+    status = robot.manager.hand_goals.status(1, 0)
+    assert status.state == "out_of_reach"
+    assert status.position_error > 0.5
+    assert "the right hand gets no nearer" in status.reason
+
+
+def test_the_arm_has_one_leader(robot: Robot) -> None:
+    """Set-points are refused while the goal moves the arm; leaving the manipulate behavior ends the goal."""
+    manager = robot.manager
+
+    def send() -> bool:
+        names = [ROBOT.joints[i] for i in RIGHT]
+        zeros = np.zeros(len(names))
+        message = JointSetpoints(robot.time, names, manager._reference.position[RIGHT], zeros, zeros)
+        return manager.setpoints_handler.handle(Received(message, 0, 1, "somebody"), robot.time, 0)
+
+    assert send()
+    assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2))))
+    assert send(), "the sender cannot know yet"
+    robot.run(GRACE + 0.01)
+    assert not send()
+    assert "the right arm follows a hand goal" in refusal(robot)
+    assert not robot.ask(Behavior.STAND)
+    robot.run(0.1)
+    assert not manager.hand_goals.active
+    assert manager.hand_goals.status(1, 0).reason == "the behavior is stand"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"hand": 2}, "hand 2; expected 0 (left) or 1 (right)"),
+        ({"frame": "map"}, "frame 'map'; expected pelvis or odom"),
+        ({"position": np.array((np.nan, 0.0, 0.0))}, "not finite"),
+        ({"orientation": np.array((2.0, 0.0, 0.0, 0.0))}, "no unit quaternion"),
+        ({"position": np.zeros(2)}, "2 and 4 numbers"),
+        ({"time": -(10**10)}, "expected at most"),
+    ],
+)
+def test_a_bad_goal_is_refused_and_nothing_moves(robot: Robot, changes: dict[str, object], reason: str) -> None:
+    before = robot.manager._reference.position.copy()
+    assert not lead(robot, goal(robot, np.array((0.4, -0.3, 0.2)), **changes))
+    assert reason in refusal(robot)
+    robot.run(0.1)
+    np.testing.assert_array_equal(robot.manager._reference.position, before)
+
+
+def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> None:
+    name = "r_elbow_pitch"
+    place, table = ROBOT.index[name], ROBOT.tables.gains
+    nominal = ROBOT.servo_stiffness[place]
+    message = JointGains([name], np.array((1e6,)), np.array((0.0,)))
+    assert robot.manager.tuning_handler.handle_gains(Received(message, 0, 1, "somebody"))
+    stiffness = [nominal] + [robot.tick().stiffness[place] for _ in range(400)]
+    assert np.abs(np.diff(stiffness)).max() < 0.01 * nominal
+    assert stiffness[-1] == pytest.approx(table.max_stiffness * nominal)
+    assert robot.tick().damping[place] == pytest.approx(table.min_damping * ROBOT.servo_damping[place])
+    np.testing.assert_array_equal(robot.tick().stiffness[LEFT], ROBOT.servo_stiffness[LEFT])
+
+
+@pytest.mark.parametrize(
+    ("names", "stiffness", "reason"),
+    [
+        (["l_knee_pitch"], (1.0,), "'l_knee_pitch' is not driven by impedance"),
+        (["nose"], (1.0,), "unknown joint 'nose'"),
+        (["r_elbow_pitch", "r_elbow_pitch"], (1.0, 1.0), "named twice"),
+        (["r_elbow_pitch"], (float("nan"),), "expected a finite number"),
+        (["r_elbow_pitch"], (1.0, 1.0), "2 numbers for 1 names"),
+    ],
+)
+def test_bad_gains_are_refused(robot: Robot, names: list[str], stiffness: tuple[float, ...], reason: str) -> None:
+    message = JointGains(names, np.array(stiffness), np.ones(len(names)))
+    assert not robot.manager.tuning_handler.handle_gains(Received(message, 0, 1, "somebody"))
+    assert reason in refusal(robot)
+
+
+def test_weights_go_gradually_and_end_with_the_balance(robot: Robot) -> None:
+    weights, handler = robot.manager._controller.weights, robot.manager.tuning_handler
+    assert handler.handle_weights(Received(BalanceWeights(["com"], np.array((1e9,))), 0, 1, "somebody"))
+    robot.tick()
+    assert weights.nominal[0] < weights.values[0] < 1.1 * weights.nominal[0]
+    robot.run(1.0)
+    assert weights.values[0] == pytest.approx(ROBOT.tables.weight_factor * weights.nominal[0])
+    assert not handler.handle_weights(Received(BalanceWeights(["luck"], np.ones(1)), 0, 1, "somebody"))
+    assert "unknown task 'luck'; expected com, angular_momentum" in refusal(robot)
+    for behavior in (Behavior.STAND, Behavior.STAND_PREP):
+        assert not robot.ask(behavior)
+        robot.run(1.5)
+    assert not handler.handle_weights(Received(BalanceWeights(["com"], np.ones(1)), 0, 1, "somebody"))
+    assert "obeyed while the robot balances" in refusal(robot)
