@@ -22,6 +22,7 @@ from valor_ros_controller.controllers.joint_trajectory_controller import JointTr
 from valor_ros_controller.controllers.tracking_controller import TrackingController
 from valor_ros_controller.kinematic_tree import KinematicTree
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor_ros_controller.ros.balance_publisher import BalancePublisher
 from valor_ros_controller.ros.control_mode_action import ControlModeAction
 from valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
@@ -113,7 +114,8 @@ class ValorRosController:
         self._publisher = Publisher(
             node, robot, tree, self._stamp, rate=rate, simulated=context.settings.profile != "hardware"
         )
-        self._bypass = ControllerBypass(node, context.node)
+        self._bypass = ControllerBypass(node, context.node, (tree.base_frame, tree.base))
+        self._balance = BalancePublisher(node, self._stamp, rate)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
         self._trajectories = list(trajectories.values())
         self._joint_states = self._open_controllers(controllers, trajectories, tracking)
@@ -178,6 +180,7 @@ class ValorRosController:
                 self._publisher.publish(hw)
                 for state in self._joint_states:
                     state.publish(hw)
+                self._balance.publish(hw.motion)
                 self._bypass.update(self._controller.mode_controller.current, hw.time)
             self._mode_face.publish(hw.time)
             self._footsteps.publish()
@@ -215,7 +218,11 @@ class ValorRosController:
         )
         self._snapshots.write(snapshot)
         statistics.rejected = (
-            snapshot.messages_rejected + snapshot.modes_refused + snapshot.trajectories_refused + self._ros.failures
+            snapshot.messages_rejected
+            + snapshot.modes_refused
+            + snapshot.trajectories_refused
+            + self._ros.failures
+            + self._bypass.rejected
         )
         if interface.silent:
             statistics.state("starting", f"waiting for {interface.silent}")

@@ -76,6 +76,7 @@ def test_controllers_of_a_mode_are_accepted_by_its_behavior():
             continue
         locomotion, manipulation, attention = INTERNAL_STATES[Behavior(mode.motion[1])]
         states = {"locomotion": locomotion, "manipulation": manipulation, "attention": attention}
+        states |= dict.fromkeys(("left_arm", "right_arm"), "setpoints" if manipulation == "teleop" else "nobody")
         accepted = {
             controller
             for controller, config in CONTROLLERS.joint_controllers.items()

@@ -29,11 +29,12 @@ PERIOD = 4_000_000
 
 def motion_state(behavior: str, setpoint) -> MotionState:
     teleop = behavior.endswith("_manipulate")
-    nothing = np.zeros(3)
+    nothing, leader = np.zeros(3), "setpoints" if teleop else "nobody"
     return MotionState(
         0, 0, behavior, behavior, "teleop" if teleop else "slave", "look", "", nothing, np.array([1.0, 0, 0, 0]),
         nothing, nothing, nothing, nothing, nothing, nothing[:2], np.ones(2, np.uint8), np.ones(2), nothing,
-        nothing, nothing, np.zeros(2, np.uint8), "", "", setpoint, np.zeros(6), np.zeros(6), nothing[:2], 1, 0, 0, 0.0,
+        nothing, nothing, np.zeros(2, np.uint8), leader, leader, setpoint, np.zeros(6), np.zeros(6), nothing[:2],
+        1, 0, 0, 0.0,
     )  # fmt: skip
 
 

@@ -1,0 +1,57 @@
+"""What the Motion System knows of its balance, for plots: CoM, DCM, CoP, and what touches the world."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PointStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Bool
+
+from valor_common.messages import MotionState
+from valor_ros_controller.ros.transforms import ODOM
+
+RATE = 25.0  # of the points [Hz]
+POINTS = ("com", "dcm", "dcm_reference", "cop")
+TOUCHING = ("l_foot", "r_foot", "l_hand", "r_hand")
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class BalancePublisher:
+    """``/flor/state/<point>`` in odom, and ``/flor/<limb>/contact`` on change, latched. Update thread."""
+
+    def __init__(self, node: Node, stamp: Time, rate: float) -> None:
+        """Make publishers and messages.
+
+        Args:
+            node: the ROS node.
+            stamp: robot time, kept up to date by its owner.
+            rate: of the update loop [Hz].
+        """
+        self._every = max(1, round(rate / RATE))
+        self._cycle = 0
+        self._points = []
+        for name in POINTS:
+            message = PointStamped()
+            message.header.stamp, message.header.frame_id = stamp, ODOM
+            self._points.append((node.create_publisher(PointStamped, f"/flor/state/{name}", 5), message))
+        self._contacts = [node.create_publisher(Bool, f"/flor/{limb}/contact", _LATCHED) for limb in TOUCHING]
+        self._touching: list[int | None] = [None] * len(TOUCHING)
+
+    def publish(self, motion: MotionState | None) -> None:
+        """Publish what is due in this cycle."""
+        if motion is None:
+            return
+        touching = motion.contacts.tolist() + motion.hand_contacts.tolist()
+        if touching != self._touching:
+            for publisher, before, now in zip(self._contacts, self._touching, touching, strict=True):
+                if before != now:
+                    publisher.publish(Bool(data=bool(now)))
+            self._touching = touching
+        self._cycle += 1
+        if self._cycle % self._every:
+            return
+        places = (motion.com_in_odom, motion.dcm_in_odom, motion.dcm_reference_in_odom, (*motion.cop_in_odom, 0.0))
+        for (publisher, message), place in zip(self._points, places, strict=True):
+            message.point.x, message.point.y, message.point.z = map(float, place)
+            publisher.publish(message)
