@@ -10,7 +10,6 @@ from motion_manager.behaviors import Behavior
 from motion_manager.hand_goals import GRACE
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor_common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
-from valor_common.robot import FloatVector
 
 RIGHT = ROBOT.group_indices("right_arm")
 LEFT = ROBOT.group_indices("left_arm")
@@ -28,9 +27,9 @@ def robot() -> Robot:
     return robot
 
 
-def goal(robot: Robot, position: FloatVector, **changes: object) -> HandGoal:
+def goal(robot: Robot, position: object, **changes: object) -> HandGoal:
     values: dict[str, object] = {
-        "time": robot.time, "hand": 1, "active": True, "frame": "pelvis", "position": np.asarray(position, dtype=float),
+        "time": robot.time, "hand": 1, "active": True, "frame": "pelvis", "position": position,
         "orientation": NOBODY,
     }  # fmt: skip
     return HandGoal(**(values | changes))  # type: ignore[arg-type]
@@ -112,7 +111,7 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
 )
 def test_a_bad_goal_is_refused_and_nothing_moves(robot: Robot, changes: dict[str, object], reason: str) -> None:
     before = robot.manager._reference.position.copy()
-    assert not lead(robot, goal(robot, np.array((0.4, -0.3, 0.2)), **changes))
+    assert not lead(robot, goal(robot, **({"position": np.array((0.4, -0.3, 0.2))} | changes)))
     assert reason in refusal(robot)
     robot.run(0.1)
     np.testing.assert_array_equal(robot.manager._reference.position, before)

@@ -57,7 +57,7 @@ class ControllerBypass:
         self.rejected = 0
         self._frames = dict.fromkeys(base_frames, "pelvis") | {"odom": "odom"}
         self._newest: RealTimeBuffer[Twist] = RealTimeBuffer()
-        self._waiting: deque[Callable[[int], None]] = deque(maxlen=QUEUE)
+        self._waiting: deque[Callable[[int], object]] = deque(maxlen=QUEUE)
         self._velocity = node.publisher(VELOCITY.name, VelocityCommand)
         self._hand_goal = node.publisher(HAND_GOAL.name, HandGoal)
         self._gains = node.publisher(JOINT_GAINS.name, JointGains)
