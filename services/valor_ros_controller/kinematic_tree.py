@@ -1,4 +1,4 @@
-"""The robot's links and frames, as tf needs them.
+"""The robot's links and frames, as tf needs them, and its description for other tools of ROS.
 
 They come from the MuJoCo model, which is compiled in a process of its own: after that this service has no more use for
 MuJoCo, whose memory it would keep. From the tree every link's transform to its parent is one rotation of its hinge, so
@@ -49,6 +49,7 @@ class KinematicTree(msgspec.Struct, frozen=True):
     base_frame: str  # name of the base's frame in ROS
     links: list[Link]
     frames: list[Frame]
+    urdf: str  # the robot's description (``urdf``)
 
     @classmethod
     def load(cls, robot: RobotDescription) -> KinematicTree:
@@ -82,8 +83,9 @@ def read(robot: RobotDescription) -> KinematicTree:
     import mujoco
 
     from valor_common.model import full_model
+    from valor_ros_controller.urdf import robot_description
 
-    mj = full_model(robot).mj
+    mj = full_model(robot, "all").mj
     tables = robot.tables
     base = tables.base
     names = {target: frame for frame, target in tables.link_frames.items()}
@@ -116,7 +118,8 @@ def read(robot: RobotDescription) -> KinematicTree:
     for frame, target in tables.link_frames.items():
         if target in bodies and target not in (frame, base):
             frames.append(Frame(frame, target, target, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
-    return KinematicTree(base, names.get(base, base), links, frames)
+    tree = KinematicTree(base, names.get(base, base), links, frames, urdf="")
+    return msgspec.structs.replace(tree, urdf=robot_description(robot, tree, mj))
 
 
 def _named_sites(robot: RobotDescription) -> set[str]:

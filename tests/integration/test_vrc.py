@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +15,8 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.integration.vrc_system import PATIENCE, VRC, Topic, ask, go, stamp, standing_robot
 from tests.system import RosClient
-from valor_common.instance import Instance, Settings
 from valor_common.messages import (
     ControlModeReport,
     JointSetpoints,
@@ -39,7 +36,6 @@ from valor_common.topics import (
     VALOR_ROS_CONTROLLER_STATISTICS,
 )
 
-VRC = "valor_ros_controller"
 PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
@@ -48,27 +44,12 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED = 0, -1, -2, -
 ACCEPTED, REJECTED, DUPLICATE, EXTERNAL_CHANGE = 1, 2, 16, 32
 NOT_READY, INVALID_MODE, INVALID_TRANSITION = 512, 1024, 2048
 STATUS_SUCCEEDED, STATUS_CANCELED, STATUS_ABORTED = 4, 5, 6
-PATIENCE = 60.0  # [s]
 
 
 @pytest.fixture(scope="module")
 def system() -> Iterator[RunningInstance]:
-    """A robot on its feet: everything but recorder and footsteps, in real time."""
-    home = Path(tempfile.mkdtemp(prefix="valor-"))
-    made = Instance("vrc", home)
-    made.logs.mkdir(parents=True)
-    made.bags.mkdir()
-    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=165, real_time_factor=1.0)
-    made.settings_file.write_text(settings.model_dump_json())
-    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
-    try:
-        for name in ("bifrostd", "comms_manager", "motion_manager", VRC):
-            running.start(name)
-        running.wait_ready(VRC, PATIENCE)
+    with standing_robot("vrc", ros_domain_id=165) as running:
         yield running
-    finally:
-        running.close()
-        shutil.rmtree(home, ignore_errors=True)
 
 
 @pytest.fixture(scope="module")
@@ -83,16 +64,6 @@ def node(system: RunningInstance) -> bifrost.Node:
     return system.node("vrc_test")
 
 
-def go(ros: RosClient, mode: str) -> None:
-    """Be in a mode; stand is given only once Stand Prep is done."""
-
-    def there() -> bool:
-        result = ros.change_mode(mode)
-        return bool(result.status & ACCEPTED) and result.current_control_mode == mode
-
-    wait_until(there, PATIENCE, f"control mode {mode}", period=0.2)
-
-
 @pytest.fixture
 def manipulating(ros: RosClient) -> RosClient:
     go(ros, "stand")
@@ -103,28 +74,6 @@ def manipulating(ros: RosClient) -> RosClient:
 def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
     positions = ros.joint_positions()
     return {name: abs(positions[name] - value) for name, value in target.items()}
-
-
-class Topic:
-    """All messages of a ROS topic, with whatever quality of service its publisher offers."""
-
-    def __init__(self, ros: RosClient, message_type: type, name: str, *, latched: bool = False) -> None:
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-        if latched:
-            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-        self.messages: list[Any] = []
-        self._ros = ros
-        self._subscription = ros.node.create_subscription(message_type, name, self.messages.append, qos)
-        ros._executor.wake()
-
-    def close(self) -> None:
-        self._ros.node.destroy_subscription(self._subscription)
-
-
-def stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
 def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, node: bifrost.Node) -> None:
@@ -342,16 +291,6 @@ def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
     handle = ros._wait(client.send_goal_async(goal), PATIENCE, "an answer to the goal")
     assert handle.accepted
     return handle
-
-
-def ask(ros: RosClient, kind: type, service: str, /, **fields: Any) -> Any:
-    """What a service answers."""
-    client = ros.node.create_client(kind, service)
-    try:
-        assert client.wait_for_service(PATIENCE), f"no service {service}"
-        return ros._wait(ros._call(client.call_async, kind.Request(**fields)), PATIENCE, f"{service} to answer")
-    finally:
-        ros.node.destroy_client(client)
 
 
 def test_a_hand_closes_and_opens(manipulating: RosClient) -> None:

@@ -17,8 +17,10 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance, TwistWithCovariance, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
 
 from valor_common.messages import Proprioceptor
 from valor_common.robot import RobotDescription
@@ -83,6 +85,9 @@ class Publisher:
         """
         self._stamp = stamp
         self._cycle = 0
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._description = node.create_publisher(String, "/robot_description", latched)
+        self._description.publish(String(data=tree.urdf))
         self._transforms = TransformPublisher(node, tree, robot, stamp)
         tables = robot.tables
 

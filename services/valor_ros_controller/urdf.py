@@ -1,0 +1,163 @@
+"""``/robot_description``: the robot's one model as URDF, for RViz, MoveIt and other tools of ROS.
+
+Its tree is that of ``/tf``: the base's frame, the bodies under it, REP-120's frames fixed to them. Every link's frame
+is its body's, so that a joint angle means the same in both. Inertia is given at the link's CoM in the link's axes,
+for some readers pass over the inertial origin's rotation. URDF has no capsule: it becomes a cylinder and two spheres.
+Meshes are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import atan2, hypot
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor_common.robot import Joint, RobotDescription
+
+if TYPE_CHECKING:
+    from valor_ros_controller.kinematic_tree import KinematicTree, Link
+
+Matrix = npt.NDArray[np.float64]
+Shape = tuple[str, dict[str, str], Matrix, Matrix]  # element, its attributes, position (3,) [m], rotation (3, 3)
+
+_COLLISION_GROUP = 3  # of the model's geoms that collide; the others are seen
+_ORIGIN = np.zeros(3)
+
+
+def robot_description(robot: RobotDescription, tree: KinematicTree, mj: mujoco.MjModel) -> str:
+    """The URDF.
+
+    Args:
+        robot: its description: limits.
+        tree: links, joints and frames.
+        mj: the full model, with all geoms: inertias and shapes.
+    """
+    root = ElementTree.Element("robot", name=robot.name)
+    _link(root, mj, tree.base_frame, tree.base if tree.base == tree.base_frame else "")
+    if tree.base != tree.base_frame:
+        _link(root, mj, tree.base, tree.base)
+        _fix(root, tree.base, tree.base_frame, _ORIGIN, _matrix((1.0, 0.0, 0.0, 0.0)))
+    for link in tree.links:
+        parent = tree.base_frame if link.parent == tree.base else link.parent
+        anchor = np.array(link.anchor)
+        position, rotation = np.array(link.position), _matrix(link.orientation)
+        child = link.name
+        if link.joint and anchor.any():
+            # URDF hinges go through the child's origin: a link without mass stands where the hinge is.
+            child = f"{link.name}_hinge"
+            ElementTree.SubElement(root, "link", name=child)
+            _fix(root, link.name, child, -anchor, np.eye(3))
+        if link.joint:
+            joint = _hinge(root, robot.tables.joints[link.joint], link)
+            _place(joint, child, parent, position + rotation @ anchor, rotation)
+        else:
+            _fix(root, child, parent, position, rotation)
+        _link(root, mj, link.name, link.name)
+    for frame in tree.frames:
+        ElementTree.SubElement(root, "link", name=frame.name)
+        parent = tree.base_frame if frame.link == tree.base else frame.link
+        _fix(root, frame.name, parent, np.array(frame.position), _matrix(frame.orientation))
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _link(root: ElementTree.Element, mj: mujoco.MjModel, name: str, body_name: str) -> None:
+    """A link with the mass and the shapes of a body; an empty name: of none."""
+    element = ElementTree.SubElement(root, "link", name=name)
+    if not body_name:
+        return
+    body = mj.body(body_name).id
+    if mj.body_mass[body] > 0.0:
+        inertial = ElementTree.SubElement(element, "inertial")
+        _origin(inertial, mj.body_ipos[body], np.eye(3))
+        ElementTree.SubElement(inertial, "mass", value=_number(mj.body_mass[body]))
+        axes = _matrix(mj.body_iquat[body])
+        inertia = axes @ np.diag(mj.body_inertia[body]) @ axes.T
+        entries = {f"i{'xyz'[i]}{'xyz'[j]}": _number(inertia[i, j]) for i in range(3) for j in range(i, 3)}
+        ElementTree.SubElement(inertial, "inertia", entries)
+    first = int(mj.body_geomadr[body])
+    for geom in range(first, first + int(mj.body_geomnum[body])):
+        kind = "collision" if mj.geom_group[geom] == _COLLISION_GROUP else "visual"
+        for shape, attributes, position, rotation in _shapes(mj, geom):
+            part = ElementTree.SubElement(element, kind)
+            _origin(part, position, rotation)
+            ElementTree.SubElement(ElementTree.SubElement(part, "geometry"), shape, attributes)
+            if kind == "visual":
+                _material(part, mj, geom)
+
+
+def _shapes(mj: mujoco.MjModel, geom: int) -> Iterator[Shape]:
+    """What stands for a geom."""
+    size, position, rotation = mj.geom_size[geom], mj.geom_pos[geom], _matrix(mj.geom_quat[geom])
+    kind = mujoco.mjtGeom(mj.geom_type[geom])
+    if kind is mujoco.mjtGeom.mjGEOM_BOX:
+        yield "box", {"size": _numbers(2.0 * size)}, position, rotation
+    elif kind is mujoco.mjtGeom.mjGEOM_SPHERE:
+        yield "sphere", {"radius": _number(size[0])}, position, rotation
+    elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+        yield "cylinder", {"radius": _number(size[0]), "length": _number(2.0 * size[1])}, position, rotation
+        if kind is mujoco.mjtGeom.mjGEOM_CAPSULE:
+            for end in (-size[1], size[1]):
+                yield "sphere", {"radius": _number(size[0])}, position + end * rotation[:, 2], rotation
+
+
+def _material(part: ElementTree.Element, mj: mujoco.MjModel, geom: int) -> None:
+    material = int(mj.geom_matid[geom])
+    color = mj.geom_rgba[geom] if material < 0 else mj.mat_rgba[material]
+    name = f"geom_{geom}" if material < 0 else mj.material(material).name
+    ElementTree.SubElement(ElementTree.SubElement(part, "material", name=name), "color", rgba=_numbers(color))
+
+
+def _hinge(root: ElementTree.Element, table: Joint, link: Link) -> ElementTree.Element:
+    """A joint of the robot, with its limits."""
+    bounded = table.lower is not None and table.upper is not None
+    joint = ElementTree.SubElement(root, "joint", name=link.joint, type="revolute" if bounded else "continuous")
+    ElementTree.SubElement(joint, "axis", xyz=_numbers(link.axis))
+    limit = {"effort": _number(table.effort), "velocity": _number(table.velocity)}
+    if table.lower is not None and table.upper is not None:
+        limit |= {"lower": _number(table.lower), "upper": _number(table.upper)}
+    ElementTree.SubElement(joint, "limit", limit)
+    ElementTree.SubElement(joint, "dynamics", damping=_number(table.damping))
+    return joint
+
+
+def _fix(root: ElementTree.Element, child: str, parent: str, position: Matrix, rotation: Matrix) -> None:
+    joint = ElementTree.SubElement(root, "joint", name=f"{child}_fixed", type="fixed")
+    _place(joint, child, parent, position, rotation)
+
+
+def _place(joint: ElementTree.Element, child: str, parent: str, position: Matrix, rotation: Matrix) -> None:
+    """What a joint joins, and where the child stands in the parent at angle 0."""
+    _origin(joint, position, rotation)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+
+
+def _origin(element: ElementTree.Element, position: Matrix, rotation: Matrix) -> None:
+    """Where something stands: R = R_z(yaw)·R_y(pitch)·R_x(roll)."""
+    pitch = atan2(-rotation[2, 0], hypot(rotation[2, 1], rotation[2, 2]))
+    if hypot(rotation[2, 1], rotation[2, 2]) > 1e-9:
+        roll, yaw = atan2(rotation[2, 1], rotation[2, 2]), atan2(rotation[1, 0], rotation[0, 0])
+    else:  # straight up or down: roll and yaw turn about one axis
+        roll, yaw = 0.0, atan2(-rotation[0, 1], rotation[1, 1])
+    ElementTree.SubElement(element, "origin", xyz=_numbers(position), rpy=_numbers((roll, pitch, yaw)))
+
+
+def _matrix(quaternion: Sequence[float] | Matrix) -> Matrix:
+    """(3, 3) of a quaternion (w, x, y, z)."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=float))
+    return matrix.reshape(3, 3)
+
+
+def _number(value: float) -> str:
+    return f"{value + 0.0:.12g}"
+
+
+def _numbers(values: Sequence[float] | Matrix) -> str:
+    return " ".join(_number(value) for value in values)

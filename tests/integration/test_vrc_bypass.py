@@ -1,0 +1,208 @@
+"""What passes the controllers by: commands that only the Motion System obeys, and what only it knows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bifrost
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.integration.vrc_system import PATIENCE, Topic, go, standing_robot
+from tests.system import RosClient
+from valor_common.messages import HandGoalStatus, MotionState, Motor, Rejection
+from valor_common.robot import RobotDescription
+from valor_common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+HOME = ROBOT.tables.arm_presets["home"]["right"]
+SUCCESSFUL = 0
+
+
+@pytest.fixture(scope="module")
+def system() -> Iterator[RunningInstance]:
+    with standing_robot("bypass", ros_domain_id=167) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def ros(system: RunningInstance) -> Iterator[RosClient]:
+    client = RosClient(system.environment)
+    go(client, "stand")
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="module")
+def node(system: RunningInstance) -> bifrost.Node:
+    return system.node("bypass_test")
+
+
+@pytest.fixture
+def publish(ros: RosClient) -> Iterator[Callable[[str, Any], None]]:
+    """Publish one message on a topic that the VRC listens to."""
+    publishers = {}
+
+    def send(topic: str, message: Any) -> None:
+        if topic not in publishers:
+            publishers[topic] = ros.node.create_publisher(type(message), topic, 1)
+            wait_until(publishers[topic].get_subscription_count, PATIENCE, f"the VRC to listen to {topic}")
+        publishers[topic].publish(message)
+
+    yield send
+    for publisher in publishers.values():
+        ros.node.destroy_publisher(publisher)
+
+
+class Rejections:
+    """What the Motion Manager refuses."""
+
+    def __init__(self, node: bifrost.Node) -> None:
+        self._subscriber = node.subscriber(REJECTION.name, Rejection, queue=100)
+        self._heard: list[Rejection] = []
+
+    def wait_for(self, topic: str, words: str) -> None:
+        def there() -> bool:
+            self._heard += [received.message for received in self._subscriber.drain()]
+            return any(r.topic == topic and words in r.reason for r in self._heard)
+
+        wait_until(there, PATIENCE, f"a refusal on {topic} that says {words!r}")
+
+    def on(self, topic: str) -> list[str]:
+        self._heard += [received.message for received in self._subscriber.drain()]
+        return [r.reason for r in self._heard if r.topic == topic]
+
+
+@pytest.fixture
+def rejections(node: bifrost.Node) -> Iterator[Rejections]:
+    made = Rejections(node)
+    wait_until(lambda: made.on("") or made._subscriber.publishers, PATIENCE, "the Motion Manager")
+    yield made
+    made._subscriber.close()
+
+
+def gripper_in_base(ros: RosClient) -> np.ndarray:
+    """(3,) of the right gripper in base_link, from /tf and /tf_static [m]."""
+    from tf2_msgs.msg import TFMessage
+
+    moving, fixed = Topic(ros, TFMessage, "/tf"), Topic(ros, TFMessage, "/tf_static", latched=True)
+    wait_until(lambda: moving.messages and fixed.messages, PATIENCE, "transforms")
+    transforms = {t.child_frame_id: t for m in (fixed.messages[0], moving.messages[-1]) for t in m.transforms}
+    moving.close()
+    fixed.close()
+    frame, point = "r_gripper", np.zeros(3)
+    while frame != "base_link":
+        transform = transforms[frame]
+        t, q = transform.transform.translation, transform.transform.rotation
+        axis = np.array((q.x, q.y, q.z))
+        turned = point + 2.0 * np.cross(axis, np.cross(axis, point) + q.w * point)
+        point = turned + np.array((t.x, t.y, t.z))
+        frame = transform.header.frame_id
+    return point
+
+
+def test_a_hand_is_led_to_a_pose_and_let_go(
+    ros: RosClient, node: bifrost.Node, publish: Callable[[str, Any], None], rejections: Rejections
+) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from std_msgs.msg import Empty
+
+    goal = PoseStamped()
+    goal.header.frame_id = "base_link"
+    goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = place = (0.4, -0.3, 0.25)
+    go(ros, "stand")
+    publish("/flor/r_hand/goal_pose", goal)
+    rejections.wait_for("motion_manager/hand_goal", "manipulate behaviors; it is stand")
+    go(ros, "stand_manipulate")
+    status = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=1000)
+    states: list[HandGoalStatus] = []
+
+    def becomes(state: str) -> bool:
+        states.extend(received.message for received in status.drain() if received.message.hand == 1)
+        assert not states or states[-1].state != "out_of_reach", states[-1].reason
+        return bool(states) and states[-1].state == state
+
+    publish("/flor/r_hand/goal_pose", goal)
+    wait_until(lambda: becomes("moving"), PATIENCE, "the hand to move")
+    wait_until(lambda: becomes("reached"), 2 * PATIENCE, "the hand at its goal")
+    wait_until(
+        lambda: np.linalg.norm(gripper_in_base(ros) - place) < 0.02, PATIENCE, "the hand within 2 cm", period=0.2
+    )
+    publish("/flor/r_hand/goal_cancel", Empty())
+    wait_until(lambda: becomes("idle"), PATIENCE, "the hand to be let go")
+    answer = ros.follow("right_arm", [(3.0, HOME)])
+    assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
+    goal.header.frame_id = "kitchen"
+    publish("/flor/r_hand/goal_pose", goal)
+    goal.header.frame_id = "base_link"
+    goal.pose.position.x = float("nan")
+    publish("/flor/r_hand/goal_pose", goal)
+    rejections.wait_for("motion_manager/hand_goal", "not finite")
+    status.close()
+
+
+def test_gains_reach_the_motors_within_their_limits(
+    ros: RosClient, node: bifrost.Node, publish: Callable[[str, Any], None], rejections: Rejections
+) -> None:
+    from valor_msgs.msg import JointGains
+
+    name = "r_elbow_pitch"
+    place = ROBOT.index[name]
+    motors = node.subscriber(MOTOR.name, Motor)
+
+    def stiffness() -> float:
+        received = motors.receive(PATIENCE)
+        assert received is not None
+        return float(received.message.stiffness[place])
+
+    go(ros, "stand")
+    nominal = stiffness()
+    assert nominal == pytest.approx(ROBOT.servo_stiffness[place])
+    publish("/flor/controller/joint_gains", JointGains(names=[name], stiffness=[0.5 * nominal], damping=[10.0]))
+    wait_until(lambda: stiffness() == pytest.approx(0.5 * nominal), PATIENCE, "half the stiffness")
+    publish("/flor/controller/joint_gains", JointGains(names=[name], stiffness=[float("nan")], damping=[10.0]))
+    rejections.wait_for("motion_manager/joint_gains", "'r_elbow_pitch' is nan")
+    publish("/flor/controller/joint_gains", JointGains(names=[name], stiffness=[nominal], damping=[12.0]))
+    wait_until(lambda: stiffness() == pytest.approx(nominal), PATIENCE, "the nominal stiffness")
+    motors.close()
+
+
+def test_weights_are_taken_or_refused_with_the_reason(
+    ros: RosClient, node: bifrost.Node, publish: Callable[[str, Any], None], rejections: Rejections
+) -> None:
+    from valor_msgs.msg import BalanceWeights
+
+    go(ros, "stand")
+    topic = "/flor/controller/balance_weights"
+    publish(topic, BalanceWeights(names=["arm_posture"], weights=[2.0]))
+    publish(topic, BalanceWeights(names=["luck"], weights=[1.0]))
+    rejections.wait_for("motion_manager/balance_weights", "unknown task 'luck'; expected com")
+    assert len(rejections.on("motion_manager/balance_weights")) == 1, "the first was refused too"
+    motion = node.subscriber(MOTION_STATE.name, MotionState)
+    received = motion.receive(PATIENCE)
+    motion.close()
+    assert received is not None and received.message.behavior == "stand"
+
+
+def test_points_and_contacts_are_there_for_plots_and_for_late_joiners(ros: RosClient) -> None:
+    from geometry_msgs.msg import PointStamped
+    from std_msgs.msg import Bool
+
+    go(ros, "stand")
+    points = {name: Topic(ros, PointStamped, f"/flor/state/{name}") for name in ("com", "dcm", "dcm_reference", "cop")}
+    feet = [Topic(ros, Bool, f"/flor/{side}_foot/contact", latched=True) for side in "lr"]
+    hands = [Topic(ros, Bool, f"/flor/{side}_hand/contact", latched=True) for side in "lr"]
+    wait_until(lambda: all(len(topic.messages) > 5 for topic in points.values()), PATIENCE, "points")
+    wait_until(lambda: all(topic.messages for topic in (*feet, *hands)), PATIENCE, "contacts")
+    places = {name: topic.messages[-1].point for name, topic in points.items()}
+    assert {topic.messages[-1].header.frame_id for topic in points.values()} == {"odom"}
+    assert 0.6 < places["com"].z < 1.2 and places["cop"].z == 0.0
+    for axis in "xy":  # standing still, all four are one above the other
+        values = [getattr(place, axis) for place in places.values()]
+        assert max(values) - min(values) < 0.03, places
+    assert all(topic.messages[-1].data for topic in feet)
+    assert not any(topic.messages[-1].data for topic in hands)
+    for topic in (*points.values(), *feet, *hands):
+        topic.close()

@@ -1,0 +1,82 @@
+"""A robot on its feet with the VRC before it, and what an ordinary ROS 2 client does with it."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import bifrost
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.system import RosClient
+from valor_common.instance import Instance, Settings
+from valor_common.messages import ModeStatus
+
+VRC = "valor_ros_controller"
+PATIENCE = 60.0  # [s]
+
+
+@contextmanager
+def standing_robot(name: str, ros_domain_id: int, *others: str) -> Iterator[RunningInstance]:
+    """Everything but recorder and footsteps, in real time; ``others`` are started besides."""
+    home = Path(tempfile.mkdtemp(prefix="valor-"))
+    made = Instance(name, home)
+    made.logs.mkdir(parents=True)
+    made.bags.mkdir()
+    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=ros_domain_id, real_time_factor=1.0)
+    made.settings_file.write_text(settings.model_dump_json())
+    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
+    try:
+        for process in ("bifrostd", "comms_manager", "motion_manager", *others, VRC):
+            running.start(process)
+        running.wait_ready(VRC, PATIENCE)
+        yield running
+    finally:
+        running.close()
+        shutil.rmtree(home, ignore_errors=True)
+
+
+def go(ros: RosClient, mode: str) -> None:
+    """Be in a mode; stand is given only once Stand Prep is done."""
+
+    def there() -> bool:
+        result = ros.change_mode(mode)
+        return bool(result.status & ModeStatus.MODE_ACCEPTED) and result.current_control_mode == mode
+
+    wait_until(there, PATIENCE, f"control mode {mode}", period=0.2)
+
+
+class Topic:
+    """All messages of a ROS topic, with whatever quality of service its publisher offers."""
+
+    def __init__(self, ros: RosClient, message_type: type, name: str, *, latched: bool = False) -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+        if latched:
+            qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+        self.messages: list[Any] = []
+        self._ros = ros
+        self._subscription = ros.node.create_subscription(message_type, name, self.messages.append, qos)
+        ros._executor.wake()
+
+    def close(self) -> None:
+        self._ros.node.destroy_subscription(self._subscription)
+
+
+def stamp(message: Any) -> int:
+    """Of a message's header [ns]."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+def ask(ros: RosClient, kind: type, service: str, /, **fields: Any) -> Any:
+    """What a service answers."""
+    client = ros.node.create_client(kind, service)
+    try:
+        assert client.wait_for_service(PATIENCE), f"no service {service}"
+        return ros._wait(ros._call(client.call_async, kind.Request(**fields)), PATIENCE, f"{service} to answer")
+    finally:
+        ros.node.destroy_client(client)
