@@ -61,6 +61,7 @@ lint: $(STAMP)
 
 # Numbers for docs/performance.md; never part of the tests.
 bench: $(STAMP)
+	$(UV) pip install --quiet --python $(BIN)/python --group bench
 	$(BIN)/python benchmarks/ipc.py
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/standing.py

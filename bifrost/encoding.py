@@ -33,6 +33,8 @@ class Codec(Generic[M]):
         self.hash = self.schema.digest()
         self.decode: Callable[[bytes | memoryview], M] = decoder(message_type).decode
         self._check = _message_check(message_type)
+        if self._check is None:
+            self.encode_into = ENCODER.encode_into  # type: ignore[method-assign,assignment]  # nothing to look at
 
     def encode(self, message: M) -> bytes:
         """The message as bytes.
@@ -43,6 +45,16 @@ class Codec(Generic[M]):
         if self._check is not None:
             self._check(message, self.name)
         return ENCODER.encode(message)
+
+    def encode_into(self, message: M, buffer: bytearray, offset: int) -> None:
+        """The message as bytes, written behind ``offset`` [B]; the buffer then ends where it does.
+
+        Raises:
+            TypeError: as ``encode``.
+        """
+        if self._check is not None:
+            self._check(message, self.name)
+        ENCODER.encode_into(message, buffer, offset)
 
 
 @cache

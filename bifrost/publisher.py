@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import secrets
 import threading
 import time
@@ -32,11 +33,13 @@ class Outlet:
         self.endpoint = socket.getsockopt_string(zmq.LAST_ENDPOINT)
         self.socket = socket
         self.lock = threading.Lock()
+        # What zmq.Socket.send calls when it has looked at arguments that are not given here.
+        self._send = functools.partial(zmq.backend.Socket.send, socket)
 
-    def send(self, frame: bytes) -> None:
+    def send(self, frame: bytearray) -> None:
         """Give a frame to whoever subscribes; never blocks."""
         with self.lock:
-            self.socket.send(frame, zmq.NOBLOCK)
+            self._send(frame, zmq.NOBLOCK)
 
 
 class Latch(Outlet):
@@ -59,11 +62,11 @@ class Latch(Outlet):
         self._descriptor = int(socket.getsockopt(zmq.FD))
         discovery.attend(self._descriptor, self._admit)
 
-    def send(self, frame: bytes) -> None:
+    def send(self, frame: bytearray) -> None:
         """Give a frame to whoever subscribes, and keep it for those to come; never blocks."""
         with self.lock:
             self._serve_newcomers()
-            self._last = frame
+            self._last = bytes(frame)
             self.socket.send(frame, zmq.NOBLOCK)
 
     def close(self) -> None:
@@ -101,18 +104,18 @@ class Publisher(Generic[M]):
         self.topic = topic
         self._node = node
         self._codec = codec(message_type)
-        self._encode = self._codec.encode
+        self._encode_into = self._codec.encode_into
         self._type = message_type
         self._outlet = outlet
         self._send = outlet.send
         self._sequence = 0
         incarnation = secrets.randbits(64)  # a publisher made anew is no gap in the sequence
         origin = node.name.encode()
-        self._prefix = (
-            topic.encode() + b"\0" + wire.PUBLICATION_CONSTANT.pack(wire.VERSION, self._codec.hash, incarnation)
-        )
-        self._origin = bytes([len(origin)]) + origin
-        self._pack = wire.PUBLICATION_VARIABLE.pack
+        constant = topic.encode() + b"\0" + wire.PUBLICATION_CONSTANT.pack(wire.VERSION, self._codec.hash, incarnation)
+        # One buffer for all messages: of each, what differs is written over the last. ZeroMQ takes a copy.
+        self._frame = bytearray(constant + bytes(wire.PUBLICATION_VARIABLE.size) + bytes([len(origin)]) + origin)
+        self._variable, self._payload = len(constant), len(self._frame)
+        self._pack_into = wire.PUBLICATION_VARIABLE.pack_into
         self._closed = False
         latched = isinstance(outlet, Latch)
         entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint, latched)
@@ -127,11 +130,12 @@ class Publisher(Generic[M]):
         """
         if type(message) is not self._type:
             raise TypeError(f"{self.topic}: expected {self._type.__name__}, got {type(message).__name__}")
-        payload = self._encode(message)
+        frame = self._frame
+        self._encode_into(message, frame, self._payload)
         if self._closed:
             raise Error(f"{self.topic}: the publisher is closed")
         sequence = self._sequence + 1
-        frame = b"".join((self._prefix, self._pack(sequence, time.monotonic_ns()), self._origin, payload))
+        self._pack_into(frame, self._variable, sequence, time.monotonic_ns())
         if len(frame) > wire.MAX_MESSAGE_SIZE:
             raise Error(f"{self.topic}: a message of {len(frame)} bytes; at most {wire.MAX_MESSAGE_SIZE}")
         self._send(frame)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Generic, Literal
 import msgspec
 import zmq
 
-from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from bifrost.node import Node
 
 Drop = Literal["newest", "oldest"]
+_SMALL = 4096  # copying fewer bytes than this is quicker than a view of them [B]
 _LARGEST = 2**63 - 1  # a count that a member has blown up is told as this
 
 
@@ -49,14 +49,11 @@ class Subscriber(Generic[M]):
         self._node = node
         own: Codec[Any] | None = None if message_type is None else codec(message_type)
         self._keep_all = queue is not None
-        self._header = len(topic.encode()) + 1
-        self._payload = self._header + wire.PUBLICATION.size
         self._waiting: deque[Checked] = deque()  # checked but not delivered
         self._undecodable = 0
         self._woken = False
         self._closed = False
         self._intake = Intake(node, topic, own, queue)
-        self._codecs = self._intake.codecs
         self._reservoir = (
             Reservoir(self._intake, queue, f"{topic} to {node.name}") if queue and drop == "oldest" else None
         )
@@ -111,16 +108,20 @@ class Subscriber(Generic[M]):
         deadline = 0.0 if timeout is None else time.monotonic() + timeout
         milliseconds = -1 if timeout is None else int(timeout * 1000.0) + 1
         while True:
-            if not self._waiting:
+            if self._waiting:
+                received = self._next() if self._keep_all else self.latest()
+            else:
                 # What waits is returned by the same call that would wait: one call into ZeroMQ a message.
                 checked = self._source.within(milliseconds)
+                received = None
                 if checked is not None:
-                    self._waiting.append(checked)
-            if self._waiting:
-                # Each of several publishers has a newest message of its own.
-                received = self.latest() if self._source.several and not self._keep_all else self._next()
-                if received is not None:
-                    return received
+                    if self._keep_all or not self._source.several:
+                        received = self._decode(checked)
+                    else:  # each of several publishers has a newest message of its own
+                        self._waiting.append(checked)
+                        received = self.latest()
+            if received is not None:
+                return received
             if self._woken:
                 self._woken = False
                 return None
@@ -208,16 +209,14 @@ class Subscriber(Generic[M]):
         return None
 
     def _decode(self, checked: Checked) -> Received[M] | None:
-        stamp, sequence, frame = checked
-        header, start = self._header, self._payload
-        end = start + frame[start - 1]
+        stamp, sequence, frame, stream = checked
         try:
-            message = self._codecs[frame[header + 1 : header + 9]].decode(memoryview(frame)[end:])
-            origin = frame[start:end].decode()
+            content = frame[stream.payload :] if len(frame) < _SMALL else memoryview(frame)[stream.payload :]
+            message = stream.decode(content)
         except (ValueError, msgspec.DecodeError, RecursionError):  # ValueError: also of text and of arrays
             self._undecodable += 1
             return None
-        return Received(message, stamp, sequence, origin)
+        return Received(message, stamp, sequence, stream.name)
 
 
 AnySubscriber = Subscriber[Message]
