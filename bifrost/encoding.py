@@ -7,12 +7,15 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, Generic
 
+import msgspec
 import numpy as np
 
 from bifrost.messages import ENCODER, FLOAT64, UINT8, Float64Array, M, Message, Uint8Array, decoder
 from bifrost.schema import list_type, optional_type, schema_of
 
 _Check = Callable[[Any, str], None]
+_LOWEST, _HIGHEST = -(2**63), 2**63 - 1
+_Integer = typing.Annotated[int, msgspec.Meta(ge=_LOWEST, le=_HIGHEST)]
 
 
 class Codec(Generic[M]):
@@ -31,6 +34,7 @@ class Codec(Generic[M]):
         self.name = message_type.__name__
         self.schema = schema_of(message_type)
         self.hash = self.schema.digest()
+        _bound_integers(message_type)
         self.decode: Callable[[bytes | memoryview], M] = decoder(message_type).decode
         self._check = _message_check(message_type)
         if self._check is None:
@@ -67,6 +71,24 @@ def codec(message_type: type[M]) -> Codec[M]:
     return typing.cast("Codec[M]", _cached(message_type))
 
 
+def _bound_integers(message_type: type[Message]) -> None:
+    """Have its decoder, yet to be made, refuse what is no signed integer of 64 bits: msgpack also knows unsigned ones."""
+    for field, annotation in typing.get_type_hints(message_type).items():
+        message_type.__annotations__[field] = _bounded(annotation)
+
+
+def _bounded(annotation: Any) -> Any:
+    if annotation is int:
+        return _Integer
+    if isinstance(annotation, type) and issubclass(annotation, Message):
+        _bound_integers(annotation)
+    if (inner := list_type(annotation)) is not None:
+        return list[_bounded(inner)]  # type: ignore[misc]
+    if (inner := optional_type(annotation)) is not None:
+        return _bounded(inner) | None
+    return annotation
+
+
 # On the wire an array is bytes: one of another element type would be misread, not refused. Therefore the sender looks.
 # A check is a function of the value and of its name, made once a type; None where there is nothing to look at.
 
@@ -75,15 +97,18 @@ def _message_check(message_type: type[Message]) -> _Check | None:
     hints = typing.get_type_hints(message_type)
     checks: list[tuple[str, _Check]] = []
     arrays: list[tuple[str, np.dtype[Any], _Check]] = []
+    integers: list[str] = []
     for field in message_type.__struct_fields__:
         check = _field_check(hints[field])
         if hints[field] == Float64Array and check:
             arrays.append((field, FLOAT64, check))
         elif hints[field] == Uint8Array and check:
             arrays.append((field, UINT8, check))
+        elif hints[field] is int:
+            integers.append(field)
         elif check:
             checks.append((field, check))
-    if not arrays and not checks:
+    if not arrays and not integers and not checks:
         return None
 
     def check_message(message: Any, name: str) -> None:
@@ -92,6 +117,10 @@ def _message_check(message_type: type[Message]) -> _Check | None:
             # The common case in two comparisons: this runs for every message of a control loop.
             if type(value) is not np.ndarray or value.dtype is not dtype or value.ndim != 1:
                 complain(value, f"{name}.{field}")
+        for field in integers:
+            value = getattr(message, field)
+            if type(value) is not int or not _LOWEST <= value <= _HIGHEST:
+                _check_integer(value, f"{name}.{field}")
         for field, check in checks:
             check(getattr(message, field), f"{name}.{field}")
 
@@ -101,6 +130,8 @@ def _message_check(message_type: type[Message]) -> _Check | None:
 def _field_check(annotation: Any) -> _Check | None:
     if isinstance(annotation, type) and issubclass(annotation, Message):
         return _message_check(annotation)
+    if annotation is int:
+        return _check_integer
     if annotation == Float64Array:
         return _array_check(FLOAT64)
     if annotation == Uint8Array:
@@ -110,6 +141,11 @@ def _field_check(annotation: Any) -> _Check | None:
     if (inner := optional_type(annotation)) is not None:
         return _optional_check(_field_check(inner))
     return None
+
+
+def _check_integer(value: Any, name: str) -> None:
+    if not isinstance(value, int) or not _LOWEST <= value <= _HIGHEST:
+        raise TypeError(f"{name}: expected an integer of 64 bits, got {value!r}")
 
 
 def _array_check(dtype: np.dtype[Any]) -> _Check:

@@ -90,6 +90,6 @@ def _scalar(annotation: Any, value: Any, where: str) -> Any:
             raise SchemaError(f"{where}: expected hexadecimal text, got {value!r}") from None
     if type(value) is not annotation:
         raise SchemaError(f"{where}: expected {annotation.__name__}, got {value!r}")
-    if annotation is int and not -(2**63) <= value < 2**64:
+    if annotation is int and not -(2**63) <= value < 2**63:
         raise SchemaError(f"{where}: expected an integer of 64 bits, got {value!r}")
     return value

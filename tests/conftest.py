@@ -28,6 +28,9 @@ ROBOTS = REPOSITORY / "robots"
 T = TypeVar("T")
 hypothesis.settings.register_profile("valor", deadline=None)  # how long an example takes is the machine's matter
 hypothesis.settings.load_profile("valor")
+# A shell starts what runs in its background with SIGINT ignored, and that is inherited: the processes that tests
+# interrupt would go on for ever.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 

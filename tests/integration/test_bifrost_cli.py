@@ -116,9 +116,12 @@ def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
 
     until(echoed, "three messages are echoed", 30.0)
     process.send_signal(signal.SIGINT)
-    assert process.wait(10) == 0  # interrupting is how it ends
-    reader.join(10.0)
-    output.close()
+    try:
+        assert process.wait(20) == 0  # interrupting is how it ends
+    finally:
+        process.kill()
+        reader.join(20.0)
+        output.close()
     assert json.loads(lines[0], parse_constant=pytest.fail)["message"]["values"] == [None, None, 1.0]
 
 

@@ -160,6 +160,39 @@ def test_what_would_be_misread_is_not_sent(fields: dict[str, Any], message: str)
         CODEC.encode(Everything(**(good | fields)))
 
 
+class Counted(bifrost.Message):
+    """Integers wherever there can be one."""
+
+    one: int
+    many: list[int]
+    maybe: int | None
+
+
+@pytest.mark.parametrize("value", [-(2**63), -1, 0, 2**63 - 1])
+def test_integers_of_64_bits_pass(value: int) -> None:
+    codec = bifrost.codec(Counted)
+    message = Counted(value, [value], value)
+    assert codec.decode(codec.encode(message)) == message
+    assert bifrost.from_builtins(Counted, bifrost.to_builtins(message)) == message
+
+
+@pytest.mark.parametrize("value", [2**63, 2**64 - 1])
+@pytest.mark.parametrize("field", ["one", "many", "maybe"])
+def test_integers_beyond_64_signed_bits_are_neither_sent_nor_taken(value: int, field: str) -> None:
+    codec = bifrost.codec(Counted)
+    fields: dict[str, Any] = {"one": 1, "many": [1], "maybe": 1}
+    fields[field] = [value] if field == "many" else value
+    with pytest.raises(TypeError, match=rf"Counted\.{field}.*: expected an integer of 64 bits, got {value}"):
+        codec.encode(Counted(**fields))
+    with pytest.raises(msgspec.ValidationError):
+        codec.decode(msgspec.msgpack.encode(list(fields.values())))
+    made = bifrost.codec(type_from_schema(codec.schema))
+    with pytest.raises(msgspec.ValidationError):
+        made.decode(msgspec.msgpack.encode(list(fields.values())))
+    with pytest.raises(bifrost.SchemaError, match="integer of 64 bits"):
+        bifrost.from_builtins(Counted, fields)
+
+
 def test_arrays_that_are_not_contiguous_are_sent_in_order() -> None:
     every_second = np.arange(10.0)[::2]
     decoded = bifrost.codec(Inner).decode(bifrost.codec(Inner).encode(Inner(every_second, "")))
