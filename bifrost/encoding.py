@@ -72,7 +72,7 @@ def codec(message_type: type[M]) -> Codec[M]:
 
 
 def _bound_integers(message_type: type[Message]) -> None:
-    """Have its decoder, yet to be made, refuse what is no signed integer of 64 bits: msgpack also knows unsigned ones."""
+    """Have its decoder, yet to be made, refuse integers beyond 64 signed bits: msgpack also knows unsigned ones."""
     for field, annotation in typing.get_type_hints(message_type).items():
         message_type.__annotations__[field] = _bounded(annotation)
 
