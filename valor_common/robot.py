@@ -129,6 +129,7 @@ class FallDetection(Table):
     tilt: Positive  # of the pelvis from upright [rad]
     height: Positive  # of the pelvis above the lower sole, as a fraction of its nominal height
     dcm_margin: Positive  # of the DCM outside the support polygon [m]
+    dcm_margin_stepping: Positive = 0.1  # likewise of that after the step that is being taken: the next may save it [m]
     dcm_duration: NonNegative = 0.02  # for which it must be outside by more [s]
 
 
@@ -239,7 +240,7 @@ class PelvisMotion(Table):
 
 
 class Disturbance(Table):
-    """How steps give way to pushes."""
+    """How steps give way to pushes, and when a robot that stands takes some."""
 
     adjust_steps: bool = True  # footholds and times of steps
     plan_reach: NonNegative = 0.05  # that a plan's foothold may be moved by, either way along each axis [m]
@@ -250,12 +251,22 @@ class Disturbance(Table):
     cop_share: Positive = 0.7  # of the CoP's reach within the stance sole, that is counted on
     threshold: Positive = 0.025  # of the DCM error, below which a step is left alone [m]
     final: Positive = 0.06  # before touchdown, in which nothing is changed any more [s]
-    shortest_swing: Positive = 0.3  # [s]
+    shortest_swing: Positive = 0.25  # [s]
     longest_delay: NonNegative = 0.15  # of a touchdown [s]
-    foot_speed: Positive = 2.5  # of a swinging foot, at most [m/s]
+    foot_speed: Positive = 3.0  # of a swinging foot, at most [m/s]
     clearance: NonNegative = 0.01  # between the feet, besides the robot's least width [m]
-    max_width: Positive = 0.55  # of an adjusted step [m]
+    max_width: Positive = 0.6  # of an adjusted step [m]
+    max_backward: Positive = 0.5  # likewise [m]
     diagonal_width: Positive = 0.3  # |forward| + width is at most this beyond the longest step [m]
+    giving: NonNegative = 0.04  # of the VRP over a stance sole, for the DCM as the last step left it [m]
+    step_when_standing: bool = True  # when the feet alone cannot hold the robot
+    hand_force: Positive = 20.0  # on a hand that is led from outside, from which on it does not: it may hold on [N]
+    edge_margin: float = 0.03  # of the DCM inside the support polygon, below which it steps [m]
+    edge_time: NonNegative = 0.006  # for which it is that near the edge [s]
+    calm: Positive = 0.04  # of the DCM error, from which on it may step again [m]
+    recovery_transfer_duration: Positive = 0.05  # of weight, of such steps [s]
+    recovery_swing_duration: Positive = 0.3  # [s]
+    recovery_swing_height: Positive = 0.04  # [m]
 
 
 class GainLimits(Table):

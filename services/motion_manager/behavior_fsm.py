@@ -86,7 +86,7 @@ class BehaviorFsm:
 
     Attributes:
         behavior: the present one.
-        reason: of the last change.
+        reason: of the last change, or what was remarked since.
         changes: how often it changed.
     """
 
@@ -172,6 +172,10 @@ class BehaviorFsm:
         self._attention.state = attention
         self.reason = reason
         self.changes += 1
+
+    def remark(self, reason: str) -> None:
+        """Something of note within the present behavior: its reason now."""
+        self.reason = reason
 
     def may_go(self, target: Behavior) -> bool:
         """Whether the table has the edge from here."""

@@ -134,6 +134,9 @@ OPERATIONAL: frozenset[Behavior] = frozenset({
 BALANCING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK, _L.SOFT_STOP})
 """Where the Whole-Body Controller has the legs."""
 
+RECOVERING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK})
+"""Where a robot at rest steps by itself when its feet cannot hold it. In Soft Stop nothing begins any more."""
+
 UNAVAILABLE: Mapping[Locomotion, str] = {
     _L.GET_UP: "getting up is not available: there is no get-up routine",
 }

@@ -13,7 +13,7 @@ from math import acos, degrees
 import numpy as np
 
 from motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from motion_manager.behaviors import BALANCING, Behavior, Locomotion, Manipulation
+from motion_manager.behaviors import BALANCING, RECOVERING, Behavior, Locomotion, Manipulation
 from motion_manager.command import MotorCommand
 from motion_manager.hand_contact import HandContacts
 from motion_manager.hand_goals import HandGoals
@@ -109,9 +109,19 @@ class MotionManager:
             Locomotion.STEP: self._step_queue,
             Locomotion.WALK: self._velocity_steps,
         }
-        self.footstep_handler = FootstepPlanHandler(robot, self.fsm, self._step_queue, self.rejections, self._soles)
+        self.footstep_handler = FootstepPlanHandler(
+            robot,
+            self.fsm,
+            self._step_queue,
+            self.rejections,
+            self._soles,
+            recovering=lambda: self._controller.recovering,
+        )
         self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
         self.pelvis_handler = PelvisHandler(self.fsm, self._controller.pelvis, self.rejections)
+        self._recovers = robot.tables.disturbance.step_when_standing
+        self._hand_force = robot.tables.disturbance.hand_force
+        self._recovering = False  # said to be
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
         self._state: RobotState | None = None
         self._whole_body: WholeBodyCommand | None = None  # of this period
@@ -207,6 +217,7 @@ class MotionManager:
         dt = min(max((self._time - before) * 1e-9, self._dt), 10.0 * self._dt)
         self.hand_goals.advance(state, now, dt)
         self._reference.advance(now, dt)
+        self._recover(proprioceptor)
         self._drive(state, now, dt)
         self.in_control = True
 
@@ -311,6 +322,26 @@ class MotionManager:
             self.fsm.go(
                 Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._qp_failures} periods in a row"
             )
+
+    def _recover(self, proprioceptor: Proprioceptor) -> None:
+        """Whether a push may be answered by a step; and say so when it is."""
+        controller = self._controller
+        controller.may_recover = self._recovers and self.fsm.locomotion in RECOVERING and not self._holds(proprioceptor)
+        if controller.recovering is self._recovering:
+            return
+        self._recovering = controller.recovering
+        if self._recovering:
+            _log.warning("%s", controller.watch.reason)
+            self.fsm.remark(controller.watch.reason)
+        elif self.fsm.locomotion in RECOVERING:
+            self.fsm.remark(f"{self.fsm.behavior} again after a step that kept the balance")
+
+    def _holds(self, proprioceptor: Proprioceptor) -> bool:
+        """Whether a hand that is led from outside pushes or holds something."""
+        if self.fsm.manipulation is not Manipulation.TELEOP:
+            return False
+        left, right = proprioceptor.left_hand_wrench[:3], proprioceptor.right_hand_wrench[:3]
+        return max(float(left.dot(left)), float(right.dot(right))) > self._hand_force * self._hand_force
 
     def _repeat(self, proprioceptor: Proprioceptor) -> None:
         """A period without a command of its own: the last one, damped; limp once the robot is in Fall."""

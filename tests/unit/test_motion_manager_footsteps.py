@@ -29,9 +29,12 @@ class Bench:
         self.queue = StepQueue()
         self.soles = [level_pose(0.0, 0.1, 0.0, 0.0), level_pose(0.0, -0.1, 0.0, 0.0)]
         self.rejections = Rejections()
-        self.handler = FootstepPlanHandler(ROBOT, self.fsm, self.queue, self.rejections, lambda: self.soles)
+        self.handler = FootstepPlanHandler(
+            ROBOT, self.fsm, self.queue, self.rejections, lambda: self.soles, recovering=lambda: self.recovering
+        )
         self.taken: list[Step] = []
         self.walking = False
+        self.recovering = False
 
     def send(self, steps: list[Footstep]) -> str:
         """The reason of a refusal; an empty text: taken."""
@@ -203,6 +206,14 @@ def test_only_in_step() -> None:
     assert "the behavior is stand" in bench.send(ahead(0, 3))
     assert "the behavior is stand" in bench.send([])
     assert bench.rejections.total == 2
+
+
+def test_no_plan_while_the_robot_steps_to_keep_its_balance() -> None:
+    bench = Bench()
+    bench.recovering = True
+    assert "keep its balance" in bench.send(ahead(0, 2))
+    bench.recovering = False
+    assert not bench.send(ahead(0, 2))
 
 
 def test_steps_that_are_taken_are_where_the_plan_says() -> None:

@@ -42,6 +42,8 @@ class FootstepPlanHandler:
         queue: StepQueue,
         rejections: Rejections,
         soles: Callable[[], Sequence[SolePose]],
+        *,
+        recovering: Callable[[], bool],
     ) -> None:
         """Make the handler.
 
@@ -51,6 +53,7 @@ class FootstepPlanHandler:
             queue: where good plans go.
             rejections: where refusals are counted.
             soles: gives where the left and right sole are; asked in Step alone.
+            recovering: whether the robot takes steps of its own to keep its balance.
         """
         self._limits, self._walking = robot.tables.footsteps, robot.tables.walking
         self._adjustable = robot.tables.disturbance.plan_reach
@@ -59,6 +62,7 @@ class FootstepPlanHandler:
         self._queue = queue
         self._rejections = rejections
         self._soles = soles
+        self._recovering = recovering
 
     def handle(self, request: FootstepPlanRequest, origin: str) -> FootstepPlanReply:
         """Answer a plan of the node ``origin``: taken whole, or refused and nothing has changed."""
@@ -102,6 +106,8 @@ class FootstepPlanHandler:
             raise PlanError(f"{len(asked)} steps; expected at most {self._limits.max_steps}")
         if self._queue.stopping:
             raise PlanError(f"the plan that runs is ending ({self._queue.reason}); send another once the robot stands")
+        if self._recovering():
+            raise PlanError("the robot is stepping to keep its balance; send the plan once it stands")
         steps = [self._step(step) for step in asked]
         before = self._before(steps[0])
         other = before.sole if before is not None else self._soles()[1 - steps[0].foot]

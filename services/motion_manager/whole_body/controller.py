@@ -32,6 +32,7 @@ from motion_manager.whole_body.state import (
 from motion_manager.whole_body.tasks import Objective
 from motion_manager.whole_body.walking.footsteps import StepSource
 from motion_manager.whole_body.walking.gait import Gait
+from motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from motion_manager.whole_body.weights import TaskWeights
 from valor_common.model import Model
 from valor_common.robot import RobotDescription
@@ -46,6 +47,8 @@ class WholeBodyController:
 
     Attributes:
         step_source: where steps come from; None: the robot stands. A gait ends with the source it began with.
+        may_recover: whether the robot may step on its own accord, when its feet alone cannot hold it.
+        watch: when it did, and why.
         pelvis: where the pelvis shall be, led from outside.
         weights: of the tasks.
         integral: (3,) of the DCM law [m]: what the model has wrong.
@@ -79,6 +82,9 @@ class WholeBodyController:
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * -float(model.mj.opt.gravity[2])
         self._walking = robot.tables.walking
         self.step_source: StepSource | None = None
+        self.may_recover = True
+        self.watch = BalanceWatch(robot)
+        self._recovery = RecoverySteps(robot)
         self._damping = np.zeros(ROWS)  # of the operational velocities
         self._damping[MOMENTUM] = -table.angular_momentum_gain
         self._damping[CHEST] = self._damping[PELVIS] = -table.orientation_damping
@@ -110,9 +116,14 @@ class WholeBodyController:
         """Whether the robot is not at rest on both feet, but between steps."""
         return self._gait.active
 
+    @property
+    def recovering(self) -> bool:
+        """Whether the robot takes steps that nobody asked for, to keep its balance."""
+        return self._gait.active and self._gait.source is self._recovery
+
     def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
         """(2, 3) and (2, 3, 3) of the soles where they stand or will come down; None: they stand."""
-        foot, foothold = self._gait.swinging, self._gait.foothold
+        foot, foothold = self._gait.stepping, self._gait.foothold
         if foot is None or foothold is None:
             return None
         positions, rotations = state.sole_positions_in_odom.copy(), state.sole_rotations_in_odom.copy()
@@ -179,6 +190,9 @@ class WholeBodyController:
     def _step(self, state: RobotState, dt: float) -> None:
         """Let the gait go on, or begin if there are steps to take."""
         gait, reference = self._gait, self._reference
+        if self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
+            self.pelvis.go_home()
+            gait.recover(state, self._recovery, state.dcm_in_odom - reference.shift, reference.centre_vrp)
         if gait.active:
             gait.update(state, state.dcm_in_odom - reference.shift, dt)
             self._stance.reset(state)

@@ -3,6 +3,8 @@
 The DCM moves away from the centre of pressure, ξ̇ = ω·(ξ − CoP), and the CoP stays within the support polygon: a DCM
 outside of it is lost without a step (capturability with zero steps, Koolen et al. 2012). That is known long before the
 robot tilts. A margin and a short time leave room for the estimate's error and for what the arms' swing can still do.
+While the robot steps the polygon is that of the foothold to come and of the foot that stays, and a DCM outside of it
+is lost when the step after that cannot reach it either (capturability with one step more): the margin is larger.
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ class FallDetector:
 
         Args:
             state: the estimate.
-            soles: positions (2, 3) and rotations (2, 3, 3) where the soles can push, now or after the step that is
-                being taken; None: as they are.
+            soles: positions (2, 3) and rotations (2, 3, 3) where the soles can push after the step that is being
+                taken; None: the robot stands, they are where they are.
         """
         return self._tilt(state) or self._height(state) or self._dcm(state, soles)
 
@@ -55,7 +57,7 @@ class FallDetector:
         positions, rotations = soles or (state.sole_positions_in_odom, state.sole_rotations_in_odom)
         x, y, _ = state.dcm_in_odom.tolist()
         (lx, ly, _), (rx, ry, _) = positions.tolist()
-        limit = self._limits.dcm_margin
+        limit = self._limits.dcm_margin if soles is None else self._limits.dcm_margin_stepping
         # Within the soles' own radius around the middle it is inside; the hull is needed only beyond.
         if hypot(x - 0.5 * (lx + rx), y - 0.5 * (ly + ry)) < self._limits.dcm_margin:
             self._outside_since = None

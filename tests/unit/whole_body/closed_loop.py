@@ -110,18 +110,36 @@ class ClosedLoop:
         if reason is not None and self.fall is None:
             self.fall, self.fall_time = reason, self.time
         position = np.where(self._mode == JointMode.POSITION, self.reference.position, command.position)
+        self._obey(self._mode, position, command.velocity, command.effort, self._stiffness, self._damping)
+
+    def limp(self) -> None:
+        """One period after a fall: no effort, only damping."""
+        none = np.zeros(len(self.robot.joints))
+        compliant = self._mode != JointMode.POSITION
+        mode = np.where(compliant, JointMode.FORCE, JointMode.OFF).astype(np.uint8)
+        self._obey(mode, none, none, none, none, np.where(compliant, self.robot.servo_damping, 0.0))
+
+    def _obey(
+        self,
+        mode: npt.NDArray[np.uint8],
+        position: FloatArray,
+        velocity: FloatArray,
+        effort: FloatArray,
+        stiffness: FloatArray,
+        damping: FloatArray,
+    ) -> None:
+        """Send a Motor's drive and let the plant go on by one period."""
         self.sequence += 1
-        self.plant.actuators.obey(
-            Motor(
-                time=state.time,
-                sequence=self.sequence,
-                proprioceptor_sequence=self.sequence - 1,
-                mode=self._mode,
-                position=position,
-                velocity=command.velocity,
-                effort=command.effort,
-                stiffness=self._stiffness,
-                damping=self._damping,
-            )
+        motor = Motor(
+            time=round(self.time * 1e9),
+            sequence=self.sequence,
+            proprioceptor_sequence=self.sequence - 1,
+            mode=mode,
+            position=position,
+            velocity=velocity,
+            effort=effort,
+            stiffness=stiffness,
+            damping=damping,
         )
+        self.plant.actuators.obey(motor)
         self.plant.step(self._substeps)

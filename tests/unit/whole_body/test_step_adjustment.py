@@ -94,7 +94,7 @@ def test_whatever_the_error_the_step_is_within_reach(
             "min_width": limits.min_width - slack,
             "max_width": limits.max_width + slack,
             "max_forward": limits.max_forward + slack,
-            "max_backward": limits.max_backward + slack,
+            "max_backward": max(limits.max_backward, table.max_backward) + slack,
         }
     )
     assert not reach_refusal(step, asked.stance, wider)

@@ -13,7 +13,7 @@ is some weighted mean of all v to come. To begin at a given DCM all the same, th
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, hypot, inf
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,14 @@ class DcmPlan:
     """
 
     def __init__(
-        self, omega: float, durations: list[float], knots: FloatArray, dcm: FloatArray, giving: slice = FIRST
+        self,
+        omega: float,
+        durations: list[float],
+        knots: FloatArray,
+        dcm: FloatArray,
+        giving: slice = FIRST,
+        *,
+        most: float = inf,
     ) -> None:
         """Plan.
 
@@ -42,6 +49,7 @@ class DcmPlan:
             knots: (n+1, 3) of the VRP, where the pieces begin and end [m]; the DCM rests at the last.
             dcm: (3,) at the start [m].
             giving: the knots that give way, all alike.
+            most: that they may give way, in the plane [m]; what is beyond it makes the plan begin elsewhere.
         """
         self._omega = omega
         self._durations = durations
@@ -50,7 +58,10 @@ class DcmPlan:
         influence[giving] = 1.0
         weight = float(self._backward(influence)[0, 0])
         self.knots = knots.copy()
-        self.knots[giving] += (dcm - self._backward(knots)[0]) / weight
+        shift = (dcm - self._backward(knots)[0]) / weight
+        if (length := hypot(shift[0], shift[1])) > most:
+            shift[:2] *= most / length
+        self.knots[giving] += shift
         self._dcm = self._backward(self.knots)
         self._piece, self._began = 0, 0.0
         self._last = len(durations) - 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import acos, cos, remainder, sin, tau
+from math import acos, cos, hypot, remainder, sin, tau
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ FloatArray = npt.NDArray[np.float64]
 
 LEFT, RIGHT = 0, 1
 FEET = ("left", "right")
+ALIGNED = (0.02, 0.05)  # feet so well side by side need no closing step [m, rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +88,15 @@ def reach_refusal(step: Step, other: SolePose, limits: Footsteps) -> str:
 def level_pose(x: float, y: float, z: float, yaw: float) -> SolePose:
     """A level sole in odom [m, rad]."""
     return SolePose(np.array((x, y, z)), rotation.yaw_matrix(yaw))
+
+
+def beside(stance: SolePose, foot: int, width: float) -> SolePose:
+    """A level sole of ``foot`` beside the other's, parallel to it, ``width`` [m] between their origins."""
+    yaw = rotation.yaw_matrix(rotation.yaw(stance.rotation))
+    return SolePose(stance.position + yaw @ np.array((0.0, width if foot == LEFT else -width, 0.0)), yaw)
+
+
+def side_by_side(sole: SolePose, place: SolePose) -> bool:
+    """Whether a sole is so near to its place beside the other that a step there would not change much."""
+    way, turn = place.position - sole.position, place.rotation @ sole.rotation.T
+    return hypot(float(way[0]), float(way[1])) < ALIGNED[0] and abs(rotation.yaw(turn)) < ALIGNED[1]

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 
 import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body.state import RobotState
 from motion_manager.whole_body.walking.dcm_plan import DcmPlan
-from motion_manager.whole_body.walking.footsteps import LEFT, Step, StepSource
+from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, StepSource
+from motion_manager.whole_body.walking.recovery import RecoverySteps
 from motion_manager.whole_body.walking.step_guard import StepGuard
 from motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 from valor_common.robot import RobotDescription
@@ -42,6 +43,7 @@ class Gait:
         swinging: the foot in the air, or None.
         swing: where it shall be.
         foothold: where it shall come down, or None.
+        source: of the steps.
     """
 
     def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
@@ -51,7 +53,7 @@ class Gait:
         self._centres = [np.array(((foot.heel + foot.toe) / 2.0, 0.0, 0.0)) for foot in (feet.left, feet.right)]
         self._toes = (feet.left.toe, feet.right.toe)
         self._height = np.array((0.0, 0.0, com_height))
-        self._source: StepSource
+        self.source: StepSource
         self._step: Step | None = None
         self._plan: DcmPlan
         self._guard = StepGuard(robot, omega)
@@ -61,6 +63,8 @@ class Gait:
         self._resting = 0  # the plan's piece in which the VRP rests over the next stance foot
         self._early = 0.0  # that the last foot came down before its time [s]
         self._landed: int | None = None
+        self._sways = True  # before the first step
+        self._giving = robot.tables.disturbance.giving
         self.active = False
         self.dcm, self.vrp = np.zeros(3), np.zeros(3)
         self.load = np.ones(2)
@@ -68,7 +72,9 @@ class Gait:
         self.swing: SwingPoint
         self.foothold: SolePose | None = None
 
-    def start(self, state: RobotState, source: StepSource, dcm: FloatArray, vrp: FloatArray) -> bool:
+    def start(
+        self, state: RobotState, source: StepSource, dcm: FloatArray, vrp: FloatArray, *, urgent: bool = False
+    ) -> bool:
         """Begin to step from rest if the source has steps.
 
         Args:
@@ -76,6 +82,7 @@ class Gait:
             source: of the steps.
             dcm: (3,) reference of standing, which the gait goes on from [m].
             vrp: (3,) likewise [m].
+            urgent: at once, without swaying aside first: the DCM is elsewhere anyway, and the step goes there.
         """
         steps = source.upcoming(sole_poses(state))
         if not steps:
@@ -83,9 +90,39 @@ class Gait:
         self.active = True
         self.dcm, self.vrp = dcm, vrp
         self._early, self._landed = 0.0, None
-        self._source = source
-        self._begin_transfer(state, steps, self._table.first_transfer_duration)
+        self.source = source
+        self._sways = not urgent
+        self._begin_transfer(state, steps, 0.0 if urgent else self._table.first_transfer_duration)
         return True
+
+    def recover(self, state: RobotState, source: RecoverySteps, dcm: FloatArray, vrp: FloatArray) -> None:
+        """Begin to step at once, with the foot that keeps the balance better.
+
+        Args:
+            state: the robot's, with both feet on the ground.
+            source: of the steps.
+            dcm: (3,) measured, were its arms nominal [m].
+            vrp: (3,) reference [m].
+        """
+        if self.active:
+            self.source.rested()
+
+        def begin(foot: int) -> float:
+            source.lead(foot)
+            self.start(state, source, dcm, vrp, urgent=True)
+            return self._guard.cost(dcm - self._plan.at(0.0)[0])
+
+        begin(min((LEFT, RIGHT), key=begin))
+
+    @property
+    def stepping(self) -> int | None:
+        """The foot whose step is under way, in the air or about to be; None: the robot rests, or sways from rest."""
+        return None if self._step is None or self._sways else self._step.foot
+
+    @property
+    def resting(self) -> bool:
+        """Whether no step is under way or to come: both feet stand, and stay."""
+        return self._step is None
 
     def stop(self) -> None:
         """Forget everything: somebody else has the legs."""
@@ -106,7 +143,7 @@ class Gait:
             if self._time >= self._transfer:
                 if self._step is None:
                     self.stop()
-                    self._source.rested()
+                    self.source.rested()
                     return
                 self._begin_swing(state, self._step)
         elif self._touched(state, self.swinging):
@@ -124,7 +161,7 @@ class Gait:
         if steps:
             self._step, self.foothold = steps[0], steps[0].sole
             self._transfer = max(shortest, steps[0].transfer_duration) + self._early
-            self._source.began(steps[0])
+            self.source.began(steps[0])
         else:
             self._step = self.foothold = None
             self._transfer = self._table.last_transfer_duration + self._early
@@ -157,7 +194,7 @@ class Gait:
             before, lowered = lowered, self._lowering(poses[1 - step.foot], step.sole)
             stance[2] -= max(before, lowered, self._lowering(poses[0], poses[1]) if i == 0 else 0.0)
             transfer = self._transfer - early if i == 0 else step.transfer_duration
-            if i == 0 and self._landed is None:  # from rest: sway aside first
+            if i == 0 and self._sways:  # from rest: sway aside first
                 durations += [0.5 * transfer, 0.5 * transfer]
                 knots += [0.5 * (self.vrp + stance), stance]
             else:
@@ -174,11 +211,13 @@ class Gait:
             half = 0.5 * (self._transfer - early)
             durations += [half, half]
             knots += [0.5 * (self.vrp + rest), rest]
-        from_rest = self._landed is None
-        self._resting = first + (2 if from_rest else 1)
+        self._resting = first + (2 if self._sways else 1)
         over_stance, sway = slice(self._resting, self._resting + 2), slice(first + 1, first + 2)
-        giving = sway if from_rest or not steps else over_stance
-        self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm, giving)
+        if self._sways or not steps:
+            giving, most = sway, inf
+        else:  # all over the next stance, as far as its sole can push: the rest is for the steps to make good
+            giving, most = over_stance, 0.0 if self._landed is None else self._giving
+        self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm, giving, most=most)
         if steps:  # a foot that is late must be waited for
             self._plan.hold(self._resting)
 
@@ -247,11 +286,11 @@ class Gait:
     def _end_swing(self, state: RobotState) -> None:
         step = self._step
         assert step is not None
-        self._source.ended(step)
-        self._landed, self.swinging = step.foot, None
+        self.source.ended(step)
+        self._landed, self.swinging, self._sways = step.foot, None, False
         on_time = self._transfer + step.swing_duration
         self._early = max(0.0, on_time - self._time)
-        self._begin_transfer(state, self._source.upcoming(sole_poses(state)))
+        self._begin_transfer(state, self.source.upcoming(sole_poses(state)))
 
     def _feet(self) -> None:
         """Who may push, and where the swinging foot shall be."""
@@ -270,4 +309,4 @@ class Gait:
 
 def sole_poses(state: RobotState) -> list[SolePose]:
     """Left and right, as they are."""
-    return [SolePose(state.sole_positions_in_odom[i], state.sole_rotations_in_odom[i]) for i in (LEFT, 1)]
+    return [SolePose(state.sole_positions_in_odom[i], state.sole_rotations_in_odom[i]) for i in (LEFT, RIGHT)]

@@ -181,7 +181,7 @@ class StepAdjuster:
         side = 1.0 if step.foot == LEFT else -1.0
         turn = abs(rotation.yaw(step.sole.rotation @ stance.rotation.T))
         narrow = reach.min_width + table.clearance + 0.5 * self._sole_length * sin(min(turn, 1.0))
-        far, near = (reach.max_forward, -reach.max_backward), (narrow, table.max_width)
+        far, near = (reach.max_forward, -max(reach.max_backward, table.max_backward)), (narrow, table.max_width)
         sideways = near if side > 0.0 else (-near[1], -near[0])
         way = table.foot_speed * left / PEAK
         boxes = ((far[1], far[0]), sideways)

@@ -9,7 +9,7 @@ foothold alone follows.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import exp
+from math import exp, inf
 
 import numpy as np
 
@@ -86,6 +86,17 @@ class StepGuard:
         if found is not None:
             self.adjusted = found
         return found
+
+    def cost(self, dcm_error: FloatArray) -> float:
+        """What it takes to keep balance with this step, as it begins [1]; infinite: it cannot be adjusted.
+
+        Args:
+            dcm_error: (3,) measured DCM less the planned one [m].
+        """
+        if self._adjuster is None or not self._guards:
+            return inf
+        found = self._adjuster.adjust(replace(self._situation, dcm_error=dcm_error, least=self._touchdown))
+        return inf if found is None else found.cost
 
     @property
     def centre(self) -> FloatArray:

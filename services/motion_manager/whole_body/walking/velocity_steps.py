@@ -8,19 +8,18 @@ Each step's velocity differs from the last one's by no more than a limit, and wi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import atan2, cos, hypot, inf, sin
+from math import cos, inf, sin
 
 import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
+from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
 from motion_manager.whole_body.walking.swing import SolePose
 from valor_common.robot import Walking
 
 FloatArray = npt.NDArray[np.float64]
 
-ALIGNED = (0.02, 0.05)  # feet so well side by side need no closing step [m, rad]
 STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
 AHEAD = 3  # steps
 
@@ -138,6 +137,4 @@ class VelocitySteps:
 
     def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:
         """Whether a step on the spot would not change much."""
-        there = self._step(foot, soles[1 - foot], np.zeros(3)).sole
-        way, turn = there.position - soles[foot].position, there.rotation @ soles[foot].rotation.T
-        return hypot(float(way[0]), float(way[1])) < ALIGNED[0] and abs(atan2(turn[1, 0], turn[0, 0])) < ALIGNED[1]
+        return side_by_side(soles[foot], beside(soles[1 - foot], foot, self._table.step_width))

@@ -1,0 +1,136 @@
+"""Pushes that the feet alone cannot hold: the robot steps, stands again, or falls without fighting it.
+
+In one process, profile ``hardware``; what it can stand is in ``benchmarks/control.py``, these are well within.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT
+from motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
+from motion_manager.whole_body.walking.swing import SolePose
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from valor_common.robot import RobotDescription
+
+DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "right": (0.0, -1.0, 0.0)}
+PERIOD = 2_000_000  # [ns]
+
+
+def standing(robot: RobotDescription, seed: int) -> ClosedLoop:
+    loop = ClosedLoop(robot, "hardware", seed)
+    loop.settle(0.3)
+    loop.run(0.5)
+    return loop
+
+
+def ground_contact(loop: ClosedLoop) -> bool:
+    """Whether anything but the feet lies on the ground, in truth."""
+    mj, data = loop.plant.model.mj, loop.plant.data
+    feet = {loop.plant.model.body(foot.body) for foot in (loop.robot.tables.feet.left, loop.robot.tables.feet.right)}
+    for contact in data.contact[: data.ncon]:
+        bodies = {int(mj.geom_bodyid[geom]) for geom in contact.geom}
+        if 0 in bodies and not bodies & feet:
+            return True
+    return False
+
+
+@pytest.mark.parametrize(("direction", "impulse"), [("forward", 35.0), ("back", 35.0), ("right", 30.0)])
+def test_a_push_is_answered_by_steps_and_the_robot_stands_again(direction: str, impulse: float) -> None:
+    robot = load_robot()
+    loop = standing(robot, 5)
+    loop.plant.push(impulse * np.array(DIRECTIONS[direction]), 0.1)
+    stepped = False
+    until = loop.time + (3.0 if direction == "right" else 6.0)
+    while loop.fall is None and loop.time < until and not (stepped and not loop.controller.recovering):
+        loop.step()
+        stepped |= loop.controller.recovering
+    assert loop.fall is None
+    assert stepped == (direction != "right")  # sideways the stance is wide enough
+    assert not loop.controller.stepping
+    assert loop.command.qp_failures == 0
+    apart = loop.state.sole_positions_in_odom[LEFT] - loop.state.sole_positions_in_odom[RIGHT]
+    np.testing.assert_allclose(apart, (0.0, robot.tables.walking.step_width, 0.0), atol=0.03)
+
+
+def test_a_push_while_walking_is_survived() -> None:
+    robot = load_robot()
+    loop = standing(robot, 6)
+    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+    pushes = {2.6: (0.0, 15.0, 0.0), 4.2: (-15.0, 0.0, 0.0)}  # at any time of the step
+    until = loop.time + 6.0
+    while loop.fall is None and loop.time < until:
+        for time in [time for time in pushes if loop.time >= time]:
+            loop.plant.push(np.array(pushes.pop(time)), 0.1)
+        source.command(np.array((0.3, 0.0, 0.0)), loop.time)
+        source.advance(loop.time)
+        loop.step()
+    assert loop.fall is None
+    assert not pushes
+    assert loop.command.qp_failures == 0
+
+
+def test_a_fall_is_told_well_before_the_robot_hits_the_ground() -> None:
+    """Even of a robot that tried to save itself by steps."""
+    loop = standing(load_robot(), 7)
+    loop.plant.push(np.array((0.0, 100.0, 0.0)), 0.1)
+    until = loop.time + 3.0
+    while loop.fall is None and loop.time < until:
+        loop.step()
+        assert not ground_contact(loop)
+    assert loop.fall is not None
+    told = loop.time
+    while not ground_contact(loop) and loop.time < until:
+        loop.limp()
+    assert ground_contact(loop)
+    assert loop.time - told > 0.15
+
+
+def test_the_watch_tells_once_and_again_only_after_the_dcm_was_well_inside() -> None:
+    loop = ClosedLoop(load_robot())
+    loop.run(0.1)
+    reference, time = loop.command.dcm_reference_in_odom, loop.state.time
+    watch, table, foot = BalanceWatch(loop.robot), loop.robot.tables.disturbance, loop.robot.tables.feet.left
+    edge = 0.5 * (foot.toe - foot.heel)
+
+    def told(forward: float, periods: int) -> int:
+        """How often it tells of a DCM so far before the middle, in so many periods."""
+        nonlocal time
+        count = 0
+        for _ in range(periods):
+            time += PERIOD
+            dcm = reference + np.array((forward, 0.0, 0.0))
+            count += watch.update(dataclasses.replace(loop.state, dcm_in_odom=dcm, time=time), reference)
+        return count
+
+    assert told(edge - table.edge_margin - 0.01, 100) == 0
+    assert told(edge - 0.005, 2) == 0  # that may be noise
+    assert told(0.0, 1) == 0
+    assert told(edge - 0.005, 100) == 1
+    assert "inside the edge of the support polygon" in watch.reason
+    assert told(edge - table.edge_margin - 0.01, 100) == 0
+    assert told(edge + 0.01, 100) == 0  # it leans on something
+    assert told(0.0, 1) == 0
+    assert told(edge + 0.01, 100) == 1
+    assert "outside" in watch.reason
+
+
+@pytest.mark.parametrize("leads", [LEFT, RIGHT])
+def test_recovery_steps_bring_feet_side_by_side_and_end(leads: int) -> None:
+    robot = load_robot()
+    source = RecoverySteps(robot)
+    soles = [SolePose(np.array((0.3, 0.25, 0.0)), np.eye(3)), SolePose(np.array((0.0, -0.1, 0.0)), np.eye(3))]
+    source.lead(leads)
+    taken = []
+    while (steps := source.upcoming(soles)) and len(taken) < 10:
+        source.began(steps[0])
+        assert [step.foot for step in steps] == [(steps[0].foot + i) % 2 for i in range(len(steps))]
+        soles[steps[0].foot] = steps[0].sole
+        taken.append(steps[0].foot)
+    assert taken == [leads]
+    apart = soles[LEFT].position - soles[RIGHT].position
+    np.testing.assert_allclose(apart, (0.0, robot.tables.walking.step_width, 0.0), atol=1e-12)
