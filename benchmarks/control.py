@@ -1,9 +1,10 @@
 """What the Whole-Body Controller costs and achieves, plant and controller in one process.
 
-Prints Markdown tables: the time of a tick, standing over seeds, the largest push survived in each direction against
-the bound of physics m·ω·Δξ (no step taken: the DCM must stay within reach of the centre of pressure), and walking.
+Prints Markdown tables: the time of a tick, standing over seeds, the largest push survived in each direction with fixed
+feet against the bound of physics m·ω·Δξ (the DCM must stay within reach of the centre of pressure), the largest one
+survived by stepping, walking, and pushes at any phase of a walk.
 
-    .venv/bin/python benchmarks/control.py [ticks] [standing] [pushes] [walking]
+    .venv/bin/python benchmarks/control.py [ticks] [standing] [fixed] [stepping] [walking] [pushed]
         [--profile hardware] [--seeds 3] [--seconds 60]
 """
 
@@ -21,17 +22,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which the tests share
 
 import numpy as np
+import pushes
 
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common.model import controller_model
 from valor_common.robot import RobotDescription
 
-DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
-PUSH_DURATION = 0.1  # [s]
-PUSH_RESOLUTION = 0.5  # of the bisection [N·s]
 WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.4, 0, 0), (0.5, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
 WALK_DURATION = 20.0  # [s]
 
@@ -39,7 +35,7 @@ WALK_DURATION = 20.0  # [s]
 def main() -> None:
     """Run what the command line asks for; everything by default."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", help="ticks, standing, pushes, walking; default: all")
+    parser.add_argument("what", nargs="*", help="ticks, standing, fixed, stepping, walking, pushed; default: all")
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
     parser.add_argument("--seeds", type=int, default=3)
@@ -49,8 +45,10 @@ def main() -> None:
     parts = {
         "ticks": lambda: ticks(robot, options.profile),
         "standing": lambda: standing(robot, options.profile, options.seeds, options.seconds),
-        "pushes": lambda: pushes(robot, options.profile, options.seeds),
+        "fixed": lambda: pushes.fixed(options.robot, options.profile, options.seeds),
+        "stepping": lambda: pushes.stepping(options.robot, options.profile, options.seeds),
         "walking": lambda: walking(robot, options.profile, options.seeds),
+        "pushed": lambda: pushes.walking(options.robot, options.profile, options.seeds),
     }
     for name in options.what or parts:
         for line in parts[name]():
@@ -117,59 +115,6 @@ def record(loop: ClosedLoop, seconds: float) -> list[np.ndarray]:
         ),
     )
     return [np.array(column) for column in zip(*rows, strict=True)]
-
-
-def pushes(robot: RobotDescription, profile: str, seeds: int) -> Iterator[str]:
-    """The largest push survived, by bisection, and when a push of 80 N·s is told to be a fall."""
-    model = controller_model(robot)
-    mass = float(model.mj.body_subtreemass[model.body(robot.tables.base)])
-    omega = DcmLaw.natural_frequency(UpperBodyKinematics(model).nominal_com_height, 9.81)
-    half = reach(robot)
-    yield f"\n## Pushes of {PUSH_DURATION} s at the chest, feet fixed, {profile}\n"
-    yield "| direction | survived, by seed [N·s] | bound m·ω·Δξ [N·s] | share | 80 N·s told after [ms] |"
-    yield "|---|---|---|---|---|"
-    for name, direction in DIRECTIONS.items():
-        survived = [largest(robot, profile, seed, direction) for seed in range(seeds)]
-        bound = mass * omega * abs(np.dot(direction, half))
-        told = [push(robot, profile, seed, direction, 80.0)[1] for seed in range(seeds)]
-        times = ", ".join("–" if t is None else f"{1e3 * t:.0f}" for t in told)
-        impulses = ", ".join(f"{s:.1f}" for s in survived)
-        yield f"| {name} | {impulses} | {bound:.1f} | {100 * np.mean(survived) / bound:.0f} % | {times} |"
-
-
-def reach(robot: RobotDescription) -> tuple[float, float]:
-    """How far the sole's edge is from the middle of the support, forward and sideways [m]."""
-    foot = robot.tables.feet.left
-    loop = ClosedLoop(robot)
-    loop.step()
-    apart = loop.state.sole_positions_in_odom[0, 1] - loop.state.sole_positions_in_odom[1, 1]
-    return 0.5 * (foot.toe - foot.heel), 0.5 * float(apart) + foot.half_width
-
-
-def largest(robot: RobotDescription, profile: str, seed: int, direction: tuple[int, int]) -> float:
-    """The largest impulse survived in a direction [N·s]."""
-    low, high = 0.0, 60.0
-    while high - low > PUSH_RESOLUTION:
-        middle = 0.5 * (low + high)
-        if push(robot, profile, seed, direction, middle)[0]:
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-def push(
-    robot: RobotDescription, profile: str, seed: int, direction: tuple[int, int], impulse: float
-) -> tuple[bool, float | None]:
-    """Whether the robot survived a push [N·s], and after what time it was told to fall [s]."""
-    loop = ClosedLoop(robot, profile, seed)
-    loop.settle(0.3)
-    loop.run(2.2)
-    began = loop.time
-    loop.plant.push(impulse * np.array((*direction, 0.0)), PUSH_DURATION)
-    while loop.fall is None and loop.time < began + 4.0:
-        loop.step()
-    return loop.fall is None, None if loop.fall_time is None else loop.fall_time - began
 
 
 def walking(robot: RobotDescription, profile: str, seeds: int) -> Iterator[str]:

@@ -119,7 +119,6 @@ class MotionManager:
         )
         self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
         self.pelvis_handler = PelvisHandler(self.fsm, self._controller.pelvis, self.rejections)
-        self._recovers = robot.tables.disturbance.step_when_standing
         self._hand_force = robot.tables.disturbance.hand_force
         self._recovering = False  # said to be
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
@@ -326,7 +325,7 @@ class MotionManager:
     def _recover(self, proprioceptor: Proprioceptor) -> None:
         """Whether a push may be answered by a step; and say so when it is."""
         controller = self._controller
-        controller.may_recover = self._recovers and self.fsm.locomotion in RECOVERING and not self._holds(proprioceptor)
+        controller.may_recover = self.fsm.locomotion in RECOVERING and not self._holds(proprioceptor)
         if controller.recovering is self._recovering:
             return
         self._recovering = controller.recovering

@@ -84,6 +84,7 @@ class WholeBodyController:
         self.step_source: StepSource | None = None
         self.may_recover = True
         self.watch = BalanceWatch(robot)
+        self._recovers = robot.tables.disturbance.step_when_standing
         self._recovery = RecoverySteps(robot)
         self._damping = np.zeros(ROWS)  # of the operational velocities
         self._damping[MOMENTUM] = -table.angular_momentum_gain
@@ -115,6 +116,11 @@ class WholeBodyController:
     def stepping(self) -> bool:
         """Whether the robot is not at rest on both feet, but between steps."""
         return self._gait.active
+
+    @property
+    def swinging(self) -> int | None:
+        """The foot in the air, or None."""
+        return self._gait.swinging
 
     @property
     def recovering(self) -> bool:
@@ -190,7 +196,7 @@ class WholeBodyController:
     def _step(self, state: RobotState, dt: float) -> None:
         """Let the gait go on, or begin if there are steps to take."""
         gait, reference = self._gait, self._reference
-        if self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
+        if self._recovers and self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
             self.pelvis.go_home()
             gait.recover(state, self._recovery, state.dcm_in_odom - reference.shift, reference.centre_vrp)
         if gait.active:

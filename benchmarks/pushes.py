@@ -1,0 +1,204 @@
+"""Pushes of 0.1 s at the chest: feet fixed, stepping allowed, walking. Tables for ``control.py``.
+
+Every push begins from a fork of one process that stands or walks: what comes before it is simulated once.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+
+from motion_manager.whole_body.arms import UpperBodyKinematics
+from motion_manager.whole_body.dcm import DcmLaw
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from valor_common.model import controller_model
+from valor_common.robot import RobotDescription
+
+DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
+DURATION = 0.1  # [s]
+RESOLUTION = 0.5  # of the bisection with fixed feet [N·s]
+GRID = 5.0  # of the search with steps [N·s]
+MOST = 80.0  # asked for [N·s]
+SPEED = 0.3  # of the walk [m/s]
+PHASES = 16  # of two steps
+IMPULSES = (15.0, 20.0, 25.0)  # while walking [N·s]
+T = TypeVar("T")
+P = ParamSpec("P")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a push."""
+
+    fall: str | None
+    time: float  # until then, or until the end [s]
+    steps: int
+    dcm_error: float  # RMS in the plane [m]
+    knee: float  # smallest angle [rad]
+    saturated: int  # joint torques at their limit, in joint-ticks
+    failures: int  # of the QP
+
+    @property
+    def survived(self) -> bool:
+        """Whether the robot did not fall."""
+        return self.fall is None
+
+
+def forked(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+    """What ``function`` returns, computed in a copy of this process: whatever it changes stays there."""
+    source, sink = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(source)
+        with os.fdopen(sink, "wb") as pipe:
+            pickle.dump(function(*args, **kwargs), pipe)
+            pipe.flush()
+            os._exit(0)
+    os.close(sink)
+    with os.fdopen(source, "rb") as pipe:
+        data = pipe.read()
+    os.waitpid(child, 0)
+    result: T = pickle.loads(data)  # from ourselves
+    return result
+
+
+def push(
+    loop: ClosedLoop, direction: tuple[int, int], impulse: float, seconds: float, walk: VelocitySteps | None = None
+) -> Outcome:
+    """Push the robot [N·s] and go on until it falls, or for so long; walking all the while if it walks."""
+    began, swinging, steps, saturated = loop.time, None, 0, 0
+    knees = [loop.robot.index["l_knee_pitch"], loop.robot.index["r_knee_pitch"]]
+    knee, errors = np.inf, []
+    failures = loop.command.qp_failures
+    loop.plant.push(impulse * np.array((*direction, 0.0)), DURATION)
+    while loop.fall is None and loop.time < began + seconds:
+        if walk is not None:
+            go(loop, walk)
+        loop.step()
+        steps += loop.controller.swinging is not None and loop.controller.swinging != swinging
+        swinging = loop.controller.swinging
+        errors.append((loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
+        knee = min(knee, float(loop.plant.joint_position[knees].min()))
+        saturated += int(np.count_nonzero(np.abs(loop.command.effort) >= 0.999 * loop.robot.effort_limit))
+    rms = float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
+    return Outcome(loop.fall, loop.time - began, steps, rms, knee, saturated, loop.command.qp_failures - failures)
+
+
+def go(loop: ClosedLoop, walk: VelocitySteps) -> None:
+    """Ask for the walk's speed once more."""
+    walk.command(np.array((SPEED, 0.0, 0.0)), loop.time)
+    walk.advance(loop.time)
+
+
+def standing(robot: RobotDescription, profile: str, seed: int) -> ClosedLoop:
+    """A robot that has come to stand."""
+    loop = ClosedLoop(robot, profile, seed)
+    loop.settle(0.3)
+    loop.run(2.2)
+    return loop
+
+
+def bounds(robot: RobotDescription) -> dict[str, float]:
+    """m·ω·Δξ for each direction [N·s]: what a point mass with its CoP at the sole's edge survives at most."""
+    model = controller_model(robot)
+    mass = float(model.mj.body_subtreemass[model.body(robot.tables.base)])
+    omega = DcmLaw.natural_frequency(UpperBodyKinematics(model).nominal_com_height, 9.81)
+    foot = robot.tables.feet.left
+    loop = ClosedLoop(robot)
+    loop.step()
+    apart = float(loop.state.sole_positions_in_odom[0, 1] - loop.state.sole_positions_in_odom[1, 1])
+    half = (0.5 * (foot.toe - foot.heel), 0.5 * apart + foot.half_width)
+    return {name: mass * omega * float(abs(np.dot(direction, half))) for name, direction in DIRECTIONS.items()}
+
+
+def fixed(name: str, profile: str, seeds: int) -> Iterator[str]:
+    """The largest push survived without a step, by bisection, and when one of 80 N·s is told to be a fall."""
+    robot = load_robot(name, disturbance={"step_when_standing": False})
+    limits = bounds(robot)
+    loops = [standing(robot, profile, seed) for seed in range(seeds)]
+    yield f"\n## Pushes of {DURATION} s at the chest, feet fixed, {profile}\n"
+    yield "| direction | survived, by seed [N·s] | bound m·ω·Δξ [N·s] | share | 80 N·s told after [ms] |"
+    yield "|---|---|---|---|---|"
+    for towards, direction in DIRECTIONS.items():
+        survived, told = [], []
+        for loop in loops:
+            low, high = 0.0, 60.0
+            while high - low > RESOLUTION:
+                middle = 0.5 * (low + high)
+                better = forked(push, loop, direction, middle, 4.0).survived
+                low, high = (middle, high) if better else (low, middle)
+            survived.append(low)
+            told.append(forked(push, loop, direction, 80.0, 4.0).time)
+        impulses, times = ", ".join(f"{s:.1f}" for s in survived), ", ".join(f"{1e3 * t:.0f}" for t in told)
+        bound = limits[towards]
+        yield f"| {towards} | {impulses} | {bound:.1f} | {100 * np.mean(survived) / bound:.0f} % | {times} |"
+
+
+def stepping(name: str, profile: str, seeds: int) -> Iterator[str]:
+    """The largest push survived by stepping, up a grid, and how it went."""
+    loops = [standing(load_robot(name), profile, seed) for seed in range(seeds)]
+    yield f"\n## Pushes of {DURATION} s at the chest, stepping allowed, in steps of {GRID:.0f} N·s, {profile}\n"
+    yield f"| direction | seed | survived [N·s] | {FIGURES} | then |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for towards, direction in DIRECTIONS.items():
+        for seed, loop in enumerate(loops):
+            best, impulse = None, 20.0
+            while impulse <= MOST:
+                last = forked(push, loop, direction, impulse, 5.0)
+                if not last.survived:
+                    break
+                best, impulse = last, impulse + GRID
+            yield f"| {towards} | {seed} | {impulse - GRID:.0f} | {figures(best)} | {last.fall or '–'} |"
+
+
+def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
+    """Pushes at any phase of two steps, the direction another one with each."""
+    yield f"\n## Pushes of {DURATION} s at the chest, walking at {SPEED} m/s, {PHASES} phases, {profile}\n"
+    yield f"| impulse [N·s] | seed | survived | {FIGURES} | fell when pushed (phase) |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for seed in range(seeds):
+        outcomes: dict[float, list[tuple[str, Outcome]]] = {impulse: [] for impulse in IMPULSES}
+        loop = standing(load_robot(name), profile, seed)
+        walk = loop.controller.step_source = VelocitySteps(loop.robot.tables.walking)
+        period, began, phase, swinging = 2.0 * sum(walk.durations(np.array((SPEED, 0.0, 0.0)))), np.inf, 0, 0
+        directions = list(DIRECTIONS.items())
+        while phase < PHASES and loop.fall is None:
+            go(loop, walk)
+            loop.step()
+            if loop.controller.swinging == 0 and swinging != 0 and loop.time > 7.0 and np.isinf(began):
+                began = loop.time  # the left foot leaves the ground, at full speed
+            swinging = loop.controller.swinging
+            if loop.time < began + (phase + 0.5) / PHASES * period:
+                continue
+            towards, direction = directions[phase % len(directions)]
+            for impulse, results in outcomes.items():
+                outcome = forked(push, loop, direction, impulse, 4.0, walk)
+                results.append((f"{towards} ({phase / PHASES:.2f})", outcome))
+            phase += 1
+        for impulse, results in outcomes.items():
+            good = [outcome for _, outcome in results if outcome.survived]
+            fell = "; ".join(when for when, outcome in results if not outcome.survived)
+            worst = Outcome(
+                None, 4.0, max(o.steps for o in good), max(o.dcm_error for o in good), min(o.knee for o in good),
+                max(o.saturated for o in good), max(o.failures for o in good),
+            ) if good else None  # fmt: skip
+            yield f"| {impulse:.0f} | {seed} | {len(good)} of {PHASES} | {figures(worst)} | {fell or '–'} |"
+
+
+FIGURES = "steps | DCM error RMS [mm] | smallest knee angle [rad] | torques at their limit | QP failures"
+
+
+def figures(outcome: Outcome | None) -> str:
+    """As the cells of ``FIGURES``."""
+    if outcome is None:
+        return "– | – | – | – | –"
+    return (
+        f"{outcome.steps} | {1e3 * outcome.dcm_error:.0f} | {outcome.knee:.2f} | {outcome.saturated} "
+        f"| {outcome.failures}"
+    )
