@@ -260,7 +260,6 @@ class Disturbance(Table):
     diagonal_width: Positive = 0.3  # |forward| + width is at most this beyond the longest step [m]
     giving: NonNegative = 0.04  # of the VRP over a stance sole, for the DCM as the last step left it [m]
     step_when_standing: bool = True  # when the feet alone cannot hold the robot
-    hand_force: Positive = 20.0  # on a hand that is led from outside, from which on it does not: it may hold on [N]
     edge_margin: float = 0.03  # of the DCM inside the support polygon, below which it steps [m]
     edge_time: NonNegative = 0.006  # for which it is that near the edge [s]
     calm: Positive = 0.04  # of the DCM error, from which on it may step again [m]

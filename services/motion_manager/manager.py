@@ -119,7 +119,6 @@ class MotionManager:
         )
         self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
         self.pelvis_handler = PelvisHandler(self.fsm, self._controller.pelvis, self.rejections)
-        self._hand_force = robot.tables.disturbance.hand_force
         self._recovering = False  # said to be
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
         self._state: RobotState | None = None
@@ -216,7 +215,7 @@ class MotionManager:
         dt = min(max((self._time - before) * 1e-9, self._dt), 10.0 * self._dt)
         self.hand_goals.advance(state, now, dt)
         self._reference.advance(now, dt)
-        self._recover(proprioceptor)
+        self._recover()
         self._drive(state, now, dt)
         self.in_control = True
 
@@ -322,10 +321,14 @@ class MotionManager:
                 Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._qp_failures} periods in a row"
             )
 
-    def _recover(self, proprioceptor: Proprioceptor) -> None:
-        """Whether a push may be answered by a step; and say so when it is."""
+    def _recover(self) -> None:
+        """Whether a push may be answered by a step; and say so when it is.
+
+        Hands that are led from outside and touch something may hold on to it: then the feet stay.
+        """
         controller = self._controller
-        controller.may_recover = self.fsm.locomotion in RECOVERING and not self._holds(proprioceptor)
+        holding = self.fsm.manipulation is Manipulation.TELEOP and bool(self._hand_contacts.contacts.any())
+        controller.may_recover = self.fsm.locomotion in RECOVERING and not holding
         if controller.recovering is self._recovering:
             return
         self._recovering = controller.recovering
@@ -334,13 +337,6 @@ class MotionManager:
             self.fsm.remark(controller.watch.reason)
         elif self.fsm.locomotion in RECOVERING:
             self.fsm.remark(f"{self.fsm.behavior} again after a step that kept the balance")
-
-    def _holds(self, proprioceptor: Proprioceptor) -> bool:
-        """Whether a hand that is led from outside pushes or holds something."""
-        if self.fsm.manipulation is not Manipulation.TELEOP:
-            return False
-        left, right = proprioceptor.left_hand_wrench[:3], proprioceptor.right_hand_wrench[:3]
-        return max(float(left.dot(left)), float(right.dot(right))) > self._hand_force * self._hand_force
 
     def _repeat(self, proprioceptor: Proprioceptor) -> None:
         """A period without a command of its own: the last one, damped; limp once the robot is in Fall."""
