@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
@@ -51,7 +52,8 @@ class BalancePublisher:
         self._cycle += 1
         if self._cycle % self._every:
             return
-        places = (motion.com_in_odom, motion.dcm_in_odom, motion.dcm_reference_in_odom, (*motion.cop_in_odom, 0.0))
+        cop = np.append(motion.cop_in_odom, 0.0)
+        places = (motion.com_in_odom, motion.dcm_in_odom, motion.dcm_reference_in_odom, cop)
         for (publisher, message), place in zip(self._points, places, strict=True):
             message.point.x, message.point.y, message.point.z = map(float, place)
             publisher.publish(message)
