@@ -51,6 +51,11 @@ class Model:
         """A body's id."""
         return int(self.mj.body(name).id)
 
+    def shape(self, body: str) -> int:
+        """Id of the largest geom of a body that has any."""
+        geoms = np.flatnonzero(self.mj.geom_bodyid == self.body(body))
+        return int(geoms[np.argmax(self.mj.geom_rbound[geoms])])
+
     def site(self, name: str) -> int:
         """A site's id."""
         return int(self.mj.site(name).id)
@@ -102,8 +107,19 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
 
 
 def controller_model(robot: RobotDescription) -> Model:
-    """What the Whole-Body Controller computes with: nominal, with the joints outside its groups welded."""
-    spec = robot_spec(robot, "none")
+    """What the Whole-Body Controller computes with: nominal, with the joints outside its groups welded.
+
+    Only what is kept apart (``self_collision``) has shapes.
+    """
+    spec = robot_spec(robot, "collision")
+    apart = {body for pair in robot.tables.self_collision.pairs for body in pair}
+    if missing := apart - {body.name for body in spec.bodies}:
+        raise ConfigurationError(
+            f"{robot.model_file}: no body {sorted(missing)[0]!r}, which robot.yaml names in self_collision.pairs"
+        )
+    for geom in list(spec.geoms):
+        if geom.parent.name not in apart:
+            spec.delete(geom)
     moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.groups[group]}
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:

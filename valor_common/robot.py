@@ -285,6 +285,22 @@ class HandMotion(Table):
     joint_speed: Positive = 0.5  # most of a joint's velocity limit
 
 
+class SelfCollision(Table):
+    """Which parts of the robot are kept apart, and how. Shapes are the largest that collide, of each body."""
+
+    pairs: list[tuple[str, str]] = []  # of bodies
+    distance: NonNegative = 0.02  # kept [m]
+    near: Annotated[float, Field(gt=0, lt=0.5)] = 0.045  # from where on a pair is looked after [m]
+    approach: Positive = 10.0  # velocity allowed per distance left [1/s]
+    response: Positive = 50.0  # deceleration per velocity above what is allowed [1/s]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SelfCollision:
+        if self.distance >= self.near:
+            raise ValueError(f"distance {self.distance} must be below near {self.near}")
+        return self
+
+
 class Estimator(Table):
     """How far the floating-base estimator trusts what it is told."""
 
@@ -339,6 +355,7 @@ class RobotTables(Table):
     gains: GainLimits = GainLimits()
     weight_factor: Annotated[float, Field(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
     hand_goals: HandMotion = HandMotion()
+    self_collision: SelfCollision = SelfCollision()
     estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
 

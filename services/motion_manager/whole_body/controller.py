@@ -21,6 +21,7 @@ from motion_manager.whole_body.limits import JointLimits
 from motion_manager.whole_body.pelvis import PelvisReference
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from motion_manager.whole_body.reference import StandReference
+from motion_manager.whole_body.self_collision import SelfCollision
 from motion_manager.whole_body.stance import Stance
 from motion_manager.whole_body.state import (
     FloatArray,
@@ -99,6 +100,8 @@ class WholeBodyController:
             np.concatenate((-self._limits.effort, np.zeros(joints.count))),
             np.concatenate((self._limits.effort, np.zeros(joints.count))),
         )
+        self._joint_bounds = self._bounds  # without those of parts that are near
+        self._collision = SelfCollision(model)
         self._stance = Stance(table.stance_stiffness)
         self._load = (1.0, 1.0)
         self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
@@ -135,6 +138,11 @@ class WholeBodyController:
         positions, rotations = state.sole_positions_in_odom.copy(), state.sole_rotations_in_odom.copy()
         positions[foot], rotations[foot] = foothold.position, foothold.rotation
         return positions, rotations
+
+    @property
+    def near_pairs(self) -> int:
+        """How many pairs of the robot's parts are so near that they are kept apart."""
+        return self._collision.rows
 
     @property
     def integral(self) -> FloatArray:
@@ -184,8 +192,10 @@ class WholeBodyController:
         self._operational_tasks(state, dt)
         self._posture_tasks(position, velocity, wanted, reference)
         n = self._joints.count
-        self._bounds.lower[n:], self._bounds.upper[n:] = self._limits.acceleration(position, velocity)
+        own = self._joint_bounds
+        own.lower[n:], own.upper[n:] = self._limits.acceleration(position, velocity)
         try:
+            self._keep_apart(state, velocity)
             self._objective.update(dynamics)
             self._contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
             solution = self._qp.solve(self._objective, dynamics, self._contacts.forces, self._bounds)
@@ -261,6 +271,15 @@ class WholeBodyController:
         wanted *= table.posture_damping
         wanted += acceleration
         self._objective.posture[:] = wanted
+
+    def _keep_apart(self, state: RobotState, velocity: FloatArray) -> None:
+        """Bounds of parts of the robot that are near each other join those of the joints."""
+        self._bounds = own = self._joint_bounds
+        limit = self._collision.update(state.dynamics, velocity, state.time)
+        if limit is not None:
+            lower = self._collision.lower
+            unbounded = np.full(lower.size, np.inf)
+            self._bounds = Bounds(np.concatenate((own.lower, lower)), np.concatenate((own.upper, unbounded)), limit)
 
     def _command(self, state: RobotState, solution: Solution, dt: float) -> WholeBodyCommand:
         places, joint_acceleration = self._joints.places, solution.acceleration[6:]

@@ -167,6 +167,23 @@ class Dynamics:
         self._site_matrix.take(self._site_places, 0, self.sole_rotation)
         np.dot(self.jacobian, self.velocity, self.task_velocity)
 
+    def nearest(self, one: int, other: int, reach: float, segment: FloatArray) -> float:
+        """The distance between two geoms [m], negative where they overlap; ``reach`` if they are farther apart.
+
+        Args:
+            one: a geom's id.
+            other: likewise.
+            reach: farther than which nothing is looked for [m].
+            segment: (6,) written to: the nearest points of both, from the pelvis, in odom's axes [m].
+        """
+        return float(mujoco.mj_geomDistance(self._model, self._data, one, other, reach, segment))
+
+    def point_jacobian(self, geom: int, point: FloatArray, rows: FloatArray, rates: FloatArray) -> None:
+        """Of a point on a geom's body: (3, nv) ``rows`` and their time derivative ``rates`` are written to."""
+        body = self._model.geom_bodyid[geom]
+        mujoco.mj_jac(self._model, self._data, rows, None, point, body)
+        mujoco.mj_jacDot(self._model, self._data, rates, None, point, body)
+
     def _centroidal(self) -> None:
         linear, linear_bias = self.mass_matrix[:3], self.bias[:3]
         np.multiply(linear, 1.0 / self.mass, out=self._com_rows)

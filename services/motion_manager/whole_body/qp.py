@@ -25,10 +25,11 @@ TOLERANCE = 1e-6  # of a limit [N·m, rad/s²]
 
 @dataclass(slots=True)
 class Bounds:
-    """Limits of the model's joints in this period, torques [N·m] first, then accelerations [rad/s²]."""
+    """Limits in this period: of the joints, torques [N·m] first, then accelerations [rad/s²]; then ``others``."""
 
-    lower: FloatArray  # (2·nj,)
-    upper: FloatArray  # (2·nj,)
+    lower: FloatArray  # (2·nj + k,)
+    upper: FloatArray  # (2·nj + k,)
+    others: Limit | None = None  # k more, of accelerations alone
 
 
 @dataclass(slots=True)
@@ -39,7 +40,7 @@ class Solution:
     rho: FloatArray  # (nρ,) forces along the generators [N]
     torque: FloatArray  # (nj,) [N·m]
     status: QpStatus
-    limits: npt.NDArray[np.intp]  # which of the 2·nj bounds joined the problem
+    limits: npt.NDArray[np.intp]  # which of the bounds joined the problem
 
 
 class ContactForceQp:
@@ -83,10 +84,12 @@ class ContactForceQp:
         forces = forces[pushing]
         offset = bias[6:] + self._damping * dynamics.joint_velocity
         elimination = Elimination(objective.hessian, objective.gradient)
-        values, joined = self._values, self._none
+        values, joined, others = self._values, self._none, bounds.others
+        if others is not None:
+            values = np.empty(bounds.lower.size)
         lower, upper = bounds.lower - TOLERANCE, bounds.upper + TOLERANCE
         for _ in range(ROUNDS):
-            limit = self._limit(mass, offset, forces, joined) if joined.size else None
+            limit = self._limit(mass, offset, forces, joined, others) if joined.size else None
             reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
             z = self._minimum(reduced, bounds, joined)
             acceleration, pushes = reduced.acceleration(z), z[: self._upper.size]
@@ -94,7 +97,9 @@ class ContactForceQp:
             torque += offset
             torque -= pushes @ forces[:, 6:]
             values[:n] = torque
-            values[n:] = acceleration[6:]
+            values[n : 2 * n] = acceleration[6:]
+            if others is not None:
+                values[2 * n :] = others.rows @ acceleration + others.offset
             if (values <= upper).all() and (values >= lower).all():
                 status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
                 return Solution(acceleration, self._all(pushes), torque, status, joined)
@@ -113,19 +118,30 @@ class ContactForceQp:
         rho[self._pushing] = pushes
         return rho
 
-    def _limit(self, mass: FloatArray, offset: FloatArray, forces: FloatArray, joined: npt.NDArray[np.intp]) -> Limit:
+    def _limit(
+        self,
+        mass: FloatArray,
+        offset: FloatArray,
+        forces: FloatArray,
+        joined: npt.NDArray[np.intp],
+        others: Limit | None,
+    ) -> Limit:
         n = self._joints
         rows, constant, effect = (
             np.zeros((joined.size, n + 6)),
             np.zeros(joined.size),
             np.zeros((joined.size, self._upper.size)),
         )
-        torques, accelerations = joined < n, joined >= n
+        torques, accelerations = joined < n, (joined >= n) & (joined < 2 * n)
         joint = joined[torques]
         rows[torques] = mass[6 + joint]
         constant[torques] = offset[joint]
         effect[torques] = forces[:, 6 + joint].T
         rows[accelerations, 6 + joined[accelerations] - n] = 1.0
+        if others is not None:
+            more = joined >= 2 * n
+            rows[more] = others.rows[joined[more] - 2 * n]
+            constant[more] = others.offset[joined[more] - 2 * n]
         return Limit(rows, constant, effect)
 
     def _minimum(self, reduced: Reduced, bounds: Bounds, joined: npt.NDArray[np.intp]) -> FloatArray:

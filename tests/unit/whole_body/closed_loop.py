@@ -33,14 +33,17 @@ ROBOTS = Path(__file__).parents[3] / "robots"
 MODES = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
 
 
-def load_robot(name: str = "escher", **tables: dict[str, object]) -> RobotDescription:
-    """A robot, with values of some of its tables replaced: ``whole_body={"dcm_gain": 3.0}``."""
+def load_robot(name: str = "escher", **tables: dict[str, object] | float) -> RobotDescription:
+    """A robot, with values of some of its tables replaced: ``whole_body={"dcm_gain": 3.0}``, ``control_rate=1000``."""
     robot = RobotDescription.load(ROBOTS / name)
     if not tables:
         return robot
     content = robot.tables.model_dump()
     for table, values in tables.items():
-        content[table].update(values)
+        if isinstance(values, dict):
+            content[table].update(values)
+        else:
+            content[table] = values
     return RobotDescription(robot.folder, RobotTables.model_validate(content))
 
 

@@ -8,7 +8,7 @@ import pytest
 from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
 from motion_manager.whole_body.walking.step_queue import StepQueue
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
-from tests.unit.whole_body.closed_loop import ClosedLoop
+from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor_common.robot import RobotDescription
 
 
@@ -77,6 +77,19 @@ def test_climbs_stairs_step_over_step(robot: RobotDescription) -> None:
     assert (np.sqrt((np.array(errors) ** 2).mean(axis=0)) < (0.015, 0.015, 0.035)).all()
     assert knee > 0.3
     assert loop.plant.data.qpos[2] - before == pytest.approx(0.45, abs=0.04)
+
+
+def test_walks_at_a_thousand_periods_a_second_as_at_five_hundred() -> None:
+    loop = ClosedLoop(load_robot(control_rate=1000.0), "hardware", 3)
+    loop.settle(0.3)
+    loop.run(0.5)
+    before = loop.plant.data.qpos[:3].copy()
+    errors, _ = walk(loop, (0.3, 0.0, 0.0), 2.5)
+    assert len(errors) > 1000 * 2.5
+    assert loop.fall is None
+    assert loop.command.qp_failures == 0
+    assert (np.sqrt((errors**2).mean(axis=0)) < 0.02).all()
+    assert loop.plant.data.qpos[0] - before[0] > 0.4
 
 
 def test_standing_goes_over_into_stepping_without_a_jump(robot: RobotDescription) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators
 from motion_manager.whole_body.dynamics import SOLES, Dynamics
-from motion_manager.whole_body.elimination import FORCE_REGULARIZATION, UnsolvableError
+from motion_manager.whole_body.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from motion_manager.whole_body.state import QpStatus
 from motion_manager.whole_body.tasks import Objective
@@ -51,9 +51,13 @@ class Problem:
         joints = np.hstack((np.zeros((n, 6)), np.eye(n), np.zeros((n, nr))))
         rho = np.hstack((np.zeros((nr, nv)), np.eye(nr)))
         offset = d.bias[6:] + self.damping * d.joint_velocity
-        rows = np.ascontiguousarray(np.vstack((base, torque, joints, rho)))
-        lower = np.concatenate((-d.bias[:6], bounds.lower[:n] - offset, bounds.lower[n:], np.zeros(nr)))
-        upper = np.concatenate((-d.bias[:6], bounds.upper[:n] - offset, bounds.upper[n:], np.full(nr, 1e30)))
+        other, constant = np.zeros((0, nv + nr)), np.zeros(0)
+        if bounds.others is not None:
+            other, constant = np.pad(bounds.others.rows, ((0, 0), (0, nr))), bounds.others.offset
+        rows = np.ascontiguousarray(np.vstack((base, torque, joints, other, rho)))
+        constant = np.concatenate((offset, np.zeros(n), constant))
+        lower = np.concatenate((-d.bias[:6], bounds.lower - constant, np.zeros(nr)))
+        upper = np.concatenate((-d.bias[:6], bounds.upper - constant, np.full(nr, 1e30)))
         sense = np.zeros(len(lower), dtype=np.int32)
         sense[:6] = EQUALITY
         z, value, flag, _ = daqp.solve(
@@ -99,6 +103,8 @@ def assert_optimal(problem: Problem, bounds: Bounds, solution: Solution) -> None
     np.testing.assert_allclose(residual, 0.0, atol=1e-6)
     assert (solution.rho >= -1e-8).all()
     values = np.concatenate((solution.torque, solution.acceleration[6:]))
+    if (others := bounds.others) is not None:
+        values = np.concatenate((values, others.rows @ solution.acceleration + others.offset))
     assert (values <= bounds.upper + 1e-4).all()
     assert (values >= bounds.lower - 1e-4).all()
     assert problem.value(solution.acceleration, solution.rho) == pytest.approx(value, rel=1e-5, abs=1e-5)
@@ -148,6 +154,26 @@ def test_with_limits_of_torque_and_acceleration(random_problem: Problem) -> None
     bounds.lower[n:], bounds.upper[n:] = -acceleration, acceleration
     solution = random_problem.solve(bounds)
     assert solution.status == QpStatus.LIMITED
+    assert_optimal(random_problem, bounds, solution)
+
+
+@pytest.mark.parametrize("torque", [False, True])
+def test_with_limits_of_what_several_joints_do(random_problem: Problem, torque: bool) -> None:
+    """Two rows over all joints that the free solution breaks, alone and with limits of torque."""
+    n, rng = len(random_problem.damping), np.random.default_rng(9)
+    free = random_problem.solve(random_problem.unbounded())
+    rows = np.hstack((np.zeros((2, 6)), rng.normal(size=(2, n))))
+    offset = rng.normal(size=2)
+    limit = Limit(rows, offset, np.zeros((2, 0)))
+    lower, upper = np.full(2 * n + 2, -np.inf), np.full(2 * n + 2, np.inf)
+    lower[2 * n :] = rows @ free.acceleration + offset + 3.0
+    if torque:
+        most = np.sort(np.abs(free.torque))[-3]
+        lower[:n], upper[:n] = -most, most
+    bounds = Bounds(lower, upper, limit)
+    solution = random_problem.solve(bounds)
+    assert solution.status == QpStatus.LIMITED
+    assert {2 * n, 2 * n + 1} <= set(solution.limits.tolist())
     assert_optimal(random_problem, bounds, solution)
 
 
