@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import logging
 import sys
+from math import nan
 
 from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import ParameterDescriptor
 
 from valor_common.service import Context, quiet_collector
 from valor_ros_controller.behavior_commander import BehaviorCommander
@@ -22,7 +24,6 @@ from valor_ros_controller.controllers.joint_trajectory_controller import JointTr
 from valor_ros_controller.controllers.tracking_controller import TrackingController
 from valor_ros_controller.kinematic_tree import KinematicTree
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor_ros_controller.ros.balance_publisher import BalancePublisher
 from valor_ros_controller.ros.control_mode_action import ControlModeAction
 from valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
@@ -30,9 +31,11 @@ from valor_ros_controller.ros.controller_state import ControllerStatePublisher
 from valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
 from valor_ros_controller.ros.footstep_state import FootstepStatePublisher
 from valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
+from valor_ros_controller.ros.motion_state_publisher import MotionStatePublisher
 from valor_ros_controller.ros.node import RosThread
 from valor_ros_controller.ros.parameters import RATE, Parameters, Range, TrajectoryParameters
 from valor_ros_controller.ros.publisher import Publisher
+from valor_ros_controller.ros.robot_status import RobotStatusPublisher
 from valor_ros_controller.ros.tracking_action import TrackingAction
 from valor_ros_controller.valor_escher_controller import ValorEscherController
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -43,6 +46,7 @@ _log = logging.getLogger("valor_ros_controller")
 SWITCH_INTERVAL = 0.0005
 """How long the ROS thread may keep the interpreter from the update thread [s]; Python's own is ten times that."""
 SNAPSHOT_PERIOD = 0.25  # [s]
+SOFT_STOP = "soft_stop"  # the control mode
 
 
 class ValorRosController:
@@ -71,6 +75,11 @@ class ValorRosController:
                 1.0,
                 "a process that publishes nothing for so long is silent [s]",
                 Range(0.01, 60.0),
+            )
+            self._ros.node.declare_parameter(
+                "allowed_control_modes",
+                list(modes.modes),
+                ParameterDescriptor(description="names of all control modes", read_only=True),
             )
             self._assemble(modes, controllers, tree, max(1, round(control_rate / rate)), timeout)
         except BaseException:
@@ -114,8 +123,15 @@ class ValorRosController:
         self._publisher = Publisher(
             node, robot, tree, self._stamp, rate=rate, simulated=context.settings.profile != "hardware"
         )
-        self._bypass = ControllerBypass(node, context.node, (tree.base_frame, tree.base))
-        self._balance = BalancePublisher(node, self._stamp, rate)
+        self._bypass = ControllerBypass(
+            node,
+            context.node,
+            self._interface,
+            (tree.base_frame, tree.base),
+            soft_stop=lambda: mode_controller.request(SOFT_STOP),
+        )
+        self._motion = MotionStatePublisher(node, self._stamp, rate)
+        self._status = RobotStatusPublisher(node, self._interface)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
         self._trajectories = list(trajectories.values())
         self._joint_states = self._open_controllers(controllers, trajectories, tracking)
@@ -129,7 +145,7 @@ class ValorRosController:
             silent=lambda: self._interface.silent,
         )
         self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
-        self._diagnostics = Diagnostics(node, self._snapshots, rate)
+        self._diagnostics = Diagnostics(node, context.node, self._snapshots, rate)
         self._cycles = 0
         self._next_snapshot = 0.0
 
@@ -180,11 +196,12 @@ class ValorRosController:
                 self._publisher.publish(hw)
                 for state in self._joint_states:
                     state.publish(hw)
-                self._balance.publish(hw.motion)
-                self._bypass.update(self._controller.mode_controller.current, hw.time)
+                self._motion.publish(self._interface.motion_state)
+                self._bypass.update(self._controller.mode_controller.current, hw)
             self._mode_face.publish(hw.time)
             self._footsteps.publish()
             self._managers.publish()
+            self._status.publish(self._controller.mode_controller.current)
             if began >= self._next_snapshot:
                 self._next_snapshot = began + SNAPSHOT_PERIOD
                 self._hand_over()
@@ -206,6 +223,9 @@ class ValorRosController:
             proprioceptor_age=interface.proprioceptor_age,
             motion_state_age=interface.motion_state_age,
             messages_rejected=interface.rejected,
+            battery_voltage=hw.measured.battery_voltage if hw.measured else nan,
+            last_command_refusal=self._bypass.last_refusal,
+            commands_refused=self._bypass.refusals,
             set_points_sent=interface.set_points_sent,
             set_points_clamped=hw.clamped,
             cycles=self._cycles,

@@ -25,7 +25,7 @@ from valor_common.messages import (
 from valor_ros_controller.behavior_commander import Commander
 from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor_ros_controller.controllers.control_mode_controller import ModeReport
-from valor_ros_controller.trajectory.limits import Indices
+from valor_ros_controller.trajectory.limits import Indices, Vector
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
@@ -43,6 +43,7 @@ class ValorEscherInterface:
         behavior: of the Motion System; empty before the first report and while it is silent.
         behavior_reason: of its last change.
         silent: name of the process that is silent; empty: none.
+        motion_state: the newest believable MotionState and its envelope.
         step_status: what the Motion System says of a footstep plan; None: not heard, or silent.
         rejected: how many messages were of the wrong length or not finite.
     """
@@ -93,6 +94,7 @@ class ValorEscherInterface:
         self.behavior = ""
         self.behavior_reason = ""
         self.silent = "comms_manager"
+        self.motion_state: bifrost.Received[MotionState] | None = None
         self.step_status: StepStatus | None = None
         self.rejected = 0
         self.set_points_sent = 0
@@ -175,6 +177,7 @@ class ValorEscherInterface:
                 and np.isfinite(numbers)
             ):
                 self._heard_motion = now
+                self.motion_state = received
                 self._take_motion(motion)
             else:
                 self._reject(
@@ -248,8 +251,12 @@ class ValorEscherInterface:
         if k:
             self._setpoints.publish(JointSetpoints(hw.time, self._names, position[:k], velocity[:k], acceleration[:k]))
         if k < len(position):
-            self._pelvis.publish(PelvisSetpoint(hw.time, position[k:], velocity[k:]))
+            self.lead_pelvis(position[k:], velocity[k:])
         self.set_points_sent += 1
+
+    def lead_pelvis(self, position: Vector, velocity: Vector) -> None:
+        """Say where the pelvis shall be: (6,) as in ``PelvisSetpoint``, and their rates."""
+        self._pelvis.publish(PelvisSetpoint(self._hw.time, position, velocity))
 
     def report(self, report: ModeReport) -> None:
         """Tell Bifrost of the control mode: on change, and every ``REPORT_PERIOD``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -81,6 +82,28 @@ def rejections(node: bifrost.Node) -> Iterator[Rejections]:
     wait_until(lambda: made.on("") or made._subscriber.publishers, PATIENCE, "the Motion Manager")
     yield made
     made._subscriber.close()
+
+
+class MotionStates:
+    """The newest MotionState."""
+
+    def __init__(self, node: bifrost.Node) -> None:
+        self._subscriber = node.subscriber(MOTION_STATE.name, MotionState)
+
+    def newest(self) -> MotionState:
+        received = self._subscriber.receive(PATIENCE)
+        assert received is not None
+        return received.message
+
+    def close(self) -> None:
+        self._subscriber.close()
+
+
+@pytest.fixture
+def motion(node: bifrost.Node) -> Iterator[MotionStates]:
+    made = MotionStates(node)
+    yield made
+    made.close()
 
 
 def gripper_in_base(ros: RosClient) -> np.ndarray:
@@ -170,7 +193,7 @@ def test_gains_reach_the_motors_within_their_limits(
 
 
 def test_weights_are_taken_or_refused_with_the_reason(
-    ros: RosClient, node: bifrost.Node, publish: Callable[[str, Any], None], rejections: Rejections
+    ros: RosClient, publish: Callable[[str, Any], None], rejections: Rejections, motion: MotionStates
 ) -> None:
     from valor_msgs.msg import BalanceWeights
 
@@ -180,10 +203,81 @@ def test_weights_are_taken_or_refused_with_the_reason(
     publish(topic, BalanceWeights(names=["luck"], weights=[1.0]))
     rejections.wait_for("motion_manager/balance_weights", "unknown task 'luck'; expected com")
     assert len(rejections.on("motion_manager/balance_weights")) == 1, "the first was refused too"
-    motion = node.subscriber(MOTION_STATE.name, MotionState)
-    received = motion.receive(PATIENCE)
-    motion.close()
-    assert received is not None and received.message.behavior == "stand"
+    assert motion.newest().behavior == "stand"
+
+
+def pelvis_goal(height: float, yaw: float = 0.0, frame: str = "support") -> Any:
+    from geometry_msgs.msg import PoseStamped
+
+    goal = PoseStamped()
+    goal.header.frame_id = frame
+    goal.pose.position.z = height
+    goal.pose.orientation.w, goal.pose.orientation.z = math.cos(yaw / 2), math.sin(yaw / 2)
+    return goal
+
+
+def test_the_pelvis_goes_to_a_pose_where_no_controller_leads_it(
+    ros: RosClient, publish: Callable[[str, Any], None], motion: MotionStates
+) -> None:
+    """One writer: in mode manipulate the pelvis is its trajectory controller's."""
+    from valor_msgs.msg import Rejection as RosRejection
+
+    topic, height = "/flor/pelvis_controller/goal_pose", ROBOT.tables.nominal_base_height
+    refusals = Topic(ros, RosRejection, "/flor/controller/rejection")
+
+    def refused(words: str) -> bool:
+        return any(r.topic == topic and words in r.reason for r in refusals.messages)
+
+    go(ros, "stand")
+    publish(topic, pelvis_goal(height - 0.05, yaw=0.1))
+    wait_until(
+        lambda: motion.newest().pelvis_setpoint == pytest.approx((0, 0, height - 0.05, 0, 0, 0.1), abs=1e-3),
+        PATIENCE,
+        "the pelvis' set-point",
+    )
+    wait_until(
+        lambda: motion.newest().pelvis_in_support[2] == pytest.approx(height - 0.05, abs=0.02), PATIENCE, "the pelvis"
+    )
+    publish(topic, pelvis_goal(height, frame="kitchen"))
+    wait_until(lambda: refused("frame 'kitchen'; expected 'support'"), PATIENCE, "a refusal of the frame")
+    publish(topic, pelvis_goal(math.nan))
+    wait_until(
+        lambda: any("not finite" in r.reason for r in refusals.messages), PATIENCE, "a refusal of what is not finite"
+    )
+    go(ros, "manipulate")
+    publish(topic, pelvis_goal(height))
+    wait_until(lambda: refused("pelvis_traj_controller leads the pelvis"), PATIENCE, "a refusal in manipulate")
+    assert motion.newest().pelvis_setpoint[2] == pytest.approx(height - 0.05, abs=2e-3), "the controller holds"
+    go(ros, "stand")
+    publish(topic, pelvis_goal(height))
+    wait_until(
+        lambda: motion.newest().pelvis_setpoint == pytest.approx((0, 0, height, 0, 0, 0), abs=1e-3), PATIENCE, "home"
+    )
+    refusals.close()
+
+
+def test_soft_stop_and_what_is_said_of_it(
+    ros: RosClient, publish: Callable[[str, Any], None], motion: MotionStates
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from std_msgs.msg import Empty
+    from valor_msgs.msg import MotionState as RosMotionState
+
+    go(ros, "stand")
+    states = Topic(ros, RosMotionState, "/flor/controller/motion_state", latched=True)
+    status = Topic(ros, DiagnosticStatus, "/flor/controller/robot_status", latched=True)
+    wait_until(lambda: status.messages and status.messages[-1].level == DiagnosticStatus.OK, PATIENCE, "status: OK")
+    publish("/flor/controller/soft_stop", Empty())
+    wait_until(lambda: motion.newest().behavior == "soft_stop", PATIENCE, "soft stop")
+    wait_until(lambda: states.messages and states.messages[-1].behavior == "soft_stop", PATIENCE, "its state on ROS")
+    wait_until(lambda: status.messages[-1].level == DiagnosticStatus.WARN, PATIENCE, "status: WARN")
+    state = states.messages[-1]
+    assert "soft_stop" in status.messages[-1].message
+    assert state.header.frame_id == "motion_manager" and len(state.joint_setpoint) == len(ROBOT.joints)
+    assert list(state.contacts) == [1, 1] and state.bifrost_sequence > 0
+    go(ros, "stand")
+    states.close()
+    status.close()
 
 
 def test_points_and_contacts_are_there_for_plots_and_for_late_joiners(ros: RosClient) -> None:

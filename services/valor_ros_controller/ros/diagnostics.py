@@ -1,15 +1,23 @@
-"""``/diagnostics``: how the VRC and what it hears of fare, once a second, for people and their tools."""
+"""``/diagnostics``: how the VRC and what it hears of fare, once a second, for people and their tools.
+
+One status of the Motion System, one of the VRC, and one of every process by its own word: rates, drops, ages.
+"""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+import bifrost
+from valor_common.messages import Statistics
+from valor_common.topics import STATISTICS
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 PERIOD = 1.0  # [s]
+_SILENT = 3.0  # a process whose statistics are older than this has stopped [s]
 _SLOW = 0.9  # a rate below this fraction of the nominal one is worth a warning
 
 
@@ -23,6 +31,9 @@ class Snapshot:
     proprioceptor_age: float
     motion_state_age: float
     messages_rejected: int
+    battery_voltage: float  # [V]
+    last_command_refusal: str  # of what passes the controllers by
+    commands_refused: int
     set_points_sent: int
     set_points_clamped: int
     cycles: int
@@ -34,14 +45,59 @@ class Snapshot:
     trajectories_refused: int
 
 
-class Diagnostics:
-    """Turns snapshots into diagnostics; a timer of the ROS thread."""
+class ProcessDiagnostics:
+    """One process, by the statistics that it publishes."""
 
-    def __init__(self, node: Node, snapshots: RealTimeBuffer[Snapshot], rate: float) -> None:
+    def __init__(self, name: str, node: bifrost.Node) -> None:
+        self._name = name
+        self._subscriber = node.subscriber(STATISTICS[name].name, Statistics)
+        self._newest: Statistics | None = None
+        self._heard = 0.0  # [time.monotonic(), s]
+        self._drops = 0
+
+    def status(self) -> DiagnosticStatus:
+        """Its present one."""
+        name = f"valor: process {self._name}"
+        if (received := self._subscriber.latest()) is not None:
+            self._newest, self._heard = received.message, time.monotonic()
+        newest = self._newest
+        if newest is None:
+            return _status(DiagnosticStatus.STALE, name, "not heard of", {})
+        age, lost = time.monotonic() - self._heard, newest.drops - self._drops
+        self._drops = newest.drops
+        if age > _SILENT:
+            level, text = DiagnosticStatus.ERROR, f"silent for {age:.0f} s"
+        elif newest.state != "ready":
+            level, text = DiagnosticStatus.WARN, f"{newest.state}: {newest.detail}"
+        elif lost > 0:
+            level, text = DiagnosticStatus.WARN, f"{lost} messages dropped since the last report"
+        else:
+            level, text = DiagnosticStatus.OK, newest.state
+        values = {
+            "age [s]": f"{age:.1f}",
+            "rate [Hz]": f"{1.0 / newest.period_mean:.0f}" if newest.period_mean > 0.0 else "",
+            "longest period [ms]": f"{1e3 * newest.period_max:.1f}",
+            "longest cycle [ms]": f"{1e3 * newest.cycle_time_max:.1f}",
+            "overruns": newest.overruns,
+            "drops": newest.drops,
+            "rejected": newest.rejected,
+            "CPU [%]": f"{newest.cpu_percent:.0f}",
+            "memory [MiB]": f"{newest.memory_mib:.0f}",
+        }
+        return _status(level, name, text, values)
+
+
+class Diagnostics:
+    """Turns snapshots and statistics into diagnostics; a timer of the ROS thread."""
+
+    def __init__(
+        self, node: Node, bifrost_node: bifrost.Node, snapshots: RealTimeBuffer[Snapshot], rate: float
+    ) -> None:
         """Begin.
 
         Args:
             node: the ROS node.
+            bifrost_node: to the Bifrost network.
             snapshots: from the update thread.
             rate: nominal, of the update loop [Hz].
         """
@@ -49,6 +105,7 @@ class Diagnostics:
         self._snapshots = snapshots
         self._rate = rate
         self._cycles = 0
+        self._processes = [ProcessDiagnostics(name, bifrost_node) for name in STATISTICS]
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         node.create_timer(PERIOD, self._publish)
 
@@ -56,7 +113,8 @@ class Diagnostics:
         snapshot = self._snapshots.newest
         if snapshot is None:
             return
-        message = DiagnosticArray(status=[self._motion_system(snapshot), self._controller(snapshot)])
+        processes = [process.status() for process in self._processes]
+        message = DiagnosticArray(status=[self._motion_system(snapshot), self._controller(snapshot), *processes])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
@@ -74,6 +132,9 @@ class Diagnostics:
             "proprioceptor age [s]": f"{snapshot.proprioceptor_age:.3f}",
             "motion_state age [s]": f"{snapshot.motion_state_age:.3f}",
             "messages rejected": snapshot.messages_rejected,
+            "battery [V]": f"{snapshot.battery_voltage:.1f}",
+            "commands refused": snapshot.commands_refused,
+            "last command refused": snapshot.last_command_refusal,
         }
         return _status(level, "valor: motion system", text, values)
 

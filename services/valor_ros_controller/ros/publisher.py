@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import BatteryState, Imu, JointState
 from std_msgs.msg import String
 
 from valor_common.messages import Proprioceptor
@@ -51,6 +52,7 @@ PUBLICATIONS: tuple[Publication, ...] = (
     Publication("hands", ("/flor/l_hand/force_torque_sensor", "/flor/r_hand/force_torque_sensor"), 125.0),
     Publication("pelvis", ("/flor/state/pelvis_pose_world", "/odom"), 125.0),
     Publication("transforms", ("/tf",), 50.0),
+    Publication("battery", ("/battery_state",), 1.0),
 )
 RATES = {publication.name: publication.rate for publication in PUBLICATIONS}
 TOPICS = {publication.name: publication.topics for publication in PUBLICATIONS}
@@ -133,6 +135,11 @@ class Publisher:
         self._twist_variance = _diagonal_view(self._odom_message.twist)
         self._twist_variance[3:] = noise.gyroscope**2
 
+        self._battery = node.create_publisher(BatteryState, *TOPICS["battery"], 1)
+        unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
+        self._battery_message = BatteryState(present=True, **unknown)
+        self._battery_message.header.stamp = stamp
+
         # Work is spread over cycles: the n-th of these begins in the n-th cycle.
         self._due: list[tuple[int, int, Callable[[ValorEscherHWInterface], None]]] = []
         for offset, (name, publish) in enumerate(
@@ -143,6 +150,7 @@ class Publisher:
                 ("hands", self._publish_hands),
                 ("pelvis", self._publish_pelvis),
                 ("transforms", self._publish_transforms),
+                ("battery", self._publish_battery),
             )
         ):
             every = max(1, round(rate / RATES[name]))
@@ -221,6 +229,10 @@ class Publisher:
     def _publish_transforms(self, hw: ValorEscherHWInterface) -> None:
         if hw.motion is not None:
             self._transforms.publish(hw.position, hw.motion)
+
+    def _publish_battery(self, hw: ValorEscherHWInterface) -> None:
+        self._battery_message.voltage = _measured(hw).battery_voltage
+        self._battery.publish(self._battery_message)
 
 
 def _measured(hw: ValorEscherHWInterface) -> Proprioceptor:

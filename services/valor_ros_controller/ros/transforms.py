@@ -47,6 +47,17 @@ def rotate(q: Vector, v: Vector) -> Vector:
     return v + w * t + np.cross(u, t)
 
 
+def roll_pitch_yaw(q: Sequence[float]) -> tuple[float, float, float]:
+    """Turns about the fixed axes x, y, z, in order, of a quaternion (w, x, y, z) [rad]."""
+    w, x, y, z = q
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(sine),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
 class LinkTransforms:
     """Every link in its parent's frame for given joint angles.
 
@@ -162,8 +173,7 @@ class TransformPublisher:
         position = motion.pelvis_position_in_odom.tolist()
         orientation = motion.pelvis_orientation_in_odom.tolist()
         left, right = (_moved(position, orientation, links.in_base(link, point)) for link, point in self._soles)
-        w, x, y, z = orientation
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        yaw = roll_pitch_yaw(orientation)[2]
         middle = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), min(left[2], right[2]))
         rows[0] = _numbers(position, orientation)
         rows[1] = _numbers(middle, (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)))

@@ -1,4 +1,4 @@
-"""What the Motion System knows of its balance, for plots: CoM, DCM, CoP, and what touches the world."""
+"""What only the Motion System knows: its state, and for plots CoM, DCM, CoP, and what touches the world."""
 
 from __future__ import annotations
 
@@ -8,18 +8,26 @@ from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool
+from valor_msgs.msg import MotionState as RosMotionState
 
+from bifrost import Received
 from valor_common.messages import MotionState
 from valor_ros_controller.ros.transforms import ODOM
+from valor_ros_controller.ros.twin_publisher import TwinPublisher
 
 RATE = 25.0  # of the points [Hz]
+STATE_RATE = 10.0  # of the motion state [Hz]
 POINTS = ("com", "dcm", "dcm_reference", "cop")
 TOUCHING = ("l_foot", "r_foot", "l_hand", "r_hand")
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class BalancePublisher:
-    """``/flor/state/<point>`` in odom, and ``/flor/<limb>/contact`` on change, latched. Update thread."""
+class MotionStatePublisher:
+    """Update thread.
+
+    ``/flor/state/<point>`` in odom; ``/flor/<limb>/contact`` on change, latched; ``/flor/controller/motion_state``,
+    also when the behavior changes, latched.
+    """
 
     def __init__(self, node: Node, stamp: Time, rate: float) -> None:
         """Make publishers and messages.
@@ -30,6 +38,7 @@ class BalancePublisher:
             rate: of the update loop [Hz].
         """
         self._every = max(1, round(rate / RATE))
+        self._state_every = max(1, round(rate / STATE_RATE))
         self._cycle = 0
         self._points = []
         for name in POINTS:
@@ -38,11 +47,14 @@ class BalancePublisher:
             self._points.append((node.create_publisher(PointStamped, f"/flor/state/{name}", 5), message))
         self._contacts = [node.create_publisher(Bool, f"/flor/{limb}/contact", _LATCHED) for limb in TOUCHING]
         self._touching: list[int | None] = [None] * len(TOUCHING)
+        self._state = TwinPublisher(node, RosMotionState, "/flor/controller/motion_state", _LATCHED)
+        self._behavior = ""
 
-    def publish(self, motion: MotionState | None) -> None:
+    def publish(self, received: Received[MotionState] | None) -> None:
         """Publish what is due in this cycle."""
-        if motion is None:
+        if received is None:
             return
+        motion = received.message
         touching = motion.contacts.tolist() + motion.hand_contacts.tolist()
         if touching != self._touching:
             for publisher, before, now in zip(self._contacts, self._touching, touching, strict=True):
@@ -50,6 +62,9 @@ class BalancePublisher:
                     publisher.publish(Bool(data=bool(now)))
             self._touching = touching
         self._cycle += 1
+        if self._cycle % self._state_every == 0 or motion.behavior != self._behavior:
+            self._behavior = motion.behavior
+            self._state.publish(received)
         if self._cycle % self._every:
             return
         cop = np.append(motion.cop_in_odom, 0.0)
