@@ -1,9 +1,10 @@
-"""Asking a server: one call at a time, at most once, with a time limit."""
+"""Asking a server: one request at a time, at most once, with a time limit; waiting for the reply, or looking for it."""
 
 from __future__ import annotations
 
 import secrets
 import time
+from dataclasses import dataclass
 from struct import error as StructError  # noqa: N812
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -13,7 +14,7 @@ import zmq
 from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import codec
-from bifrost.errors import NoServerError, RemoteError, SchemaError, TimeoutError
+from bifrost.errors import Error, NoServerError, RemoteError, SchemaError, TimeoutError
 from bifrost.messages import M, Message
 from bifrost.neighbors import Peer
 
@@ -21,11 +22,25 @@ if TYPE_CHECKING:
     from bifrost.node import Node
 
 R = TypeVar("R", bound=Message)
+_AGAIN = 0.01  # while a question of a loop waits for a connection, it is looked at this often [s]
 _SLICE = 0.05  # while the connection is being made, the table is looked at this often [s]
 
 
+@dataclass
+class _Asked:
+    """A question of a loop."""
+
+    payload: bytes
+    deadline: float  # monotonic [s]
+    timeout: float  # [s]
+    server: Peer | None = None  # to whom it was sent
+
+
 class Client(Generic[M, R]):
-    """Calls the server of one topic. Made by ``Node.client``."""
+    """Asks the server of one topic. Made by ``Node.client``.
+
+    A thread that may wait uses ``call``. A loop that may not uses ``ask``, ``bifrost.wait`` and ``answer``.
+    """
 
     def __init__(self, node: Node, topic: str, request: type[M], reply: type[R]) -> None:
         self.topic = topic
@@ -40,6 +55,8 @@ class Client(Generic[M, R]):
         self._socket: zmq.Socket[bytes] | None = None
         self._endpoint = ""
         self._closed = False
+        self._asked: _Asked | None = None
+        self._answer: R | Exception | None = None
         self._watch = node.discovery.watch("server", topic, notify=lambda: None)
         entry = Entry("client", topic, (self._request.name, self._reply.name), self._hashes)
         self._key = node.discovery.announce(entry, [self._request.schema, self._reply.schema])
@@ -60,18 +77,12 @@ class Client(Generic[M, R]):
             RemoteError: the server refused the request, or its handler raised.
             TypeError: the request is of another type, or a field does not hold what its type says.
         """
-        if type(request) is not self._request_type:
-            raise TypeError(f"{self.topic}: expected {self._request.name}, got {type(request).__name__}")
-        payload = self._request.encode(request)
+        payload = self._encode(request)
+        self._asked = self._answer = None
         deadline = time.monotonic() + timeout
         socket, server = self._ready_socket(deadline, timeout)
-        self._request_id = (self._request_id + 1) % 2**63
-        header = wire.REQUEST.pack(
-            wire.VERSION, self._request.hash, self._reply.hash, self._request_id, self._computer,
-            int(deadline * 1e9), len(self._origin),
-        )  # fmt: skip
         try:
-            socket.send(b"".join((self._prefix, header, self._origin, payload)), zmq.NOBLOCK)
+            socket.send(self._frame(payload, deadline), zmq.NOBLOCK)
             while (remaining := deadline - time.monotonic()) > 0.0:
                 if socket.poll(int(remaining * 1000) + 1):
                     reply = self._take(socket.recv(), server)
@@ -81,6 +92,55 @@ class Client(Generic[M, R]):
             pass
         self._disconnect()  # what it may still hold must not be sent later
         raise TimeoutError(f"{self.topic}: no reply from {server.node} within {timeout:g} s")
+
+    def ask(self, request: M, timeout: float = 1.0) -> None:
+        """Send a request without waiting for anything; ``answer`` tells what became of it. Never blocks.
+
+        A question that is still open is given up: its reply, if it comes, is passed over.
+
+        Args:
+            request: of the client's type.
+            timeout: for everything, a server that has yet to start included [s].
+
+        Raises:
+            TypeError: as ``call``.
+        """
+        self._answer = None
+        self._asked = _Asked(self._encode(request), time.monotonic() + timeout, timeout)
+        self._advance()
+
+    def answer(self) -> R | None:
+        """The reply to what was asked, once; None as long as there is none. Never blocks.
+
+        Raises:
+            Error: as ``call`` would have; once, and the question is closed.
+        """
+        self._advance()
+        answer, self._answer = self._answer, None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    @property
+    def pollable(self) -> zmq.Socket[bytes] | None:
+        """For ``bifrost.wait``: None while there is nothing to poll."""
+        return self._socket if self._asked is not None and self._asked.server is not None else None
+
+    def ready(self) -> bool:
+        """Whether the last question has an answer, be it an error. Never blocks."""
+        self._advance()
+        return self._answer is not None
+
+    def holding(self) -> bool:
+        """Whether there is an answer already."""
+        return self._answer is not None
+
+    def patience(self) -> float | None:
+        """How long one may wait before looking again even if nothing comes [s]; None: for ever."""
+        if self._asked is None:
+            return None
+        remaining = max(0.0, self._asked.deadline - time.monotonic())
+        return remaining if self._asked.server is not None else min(_AGAIN, remaining)
 
     @property
     def server(self) -> str | None:
@@ -101,6 +161,70 @@ class Client(Generic[M, R]):
             self._disconnect()
             self._node.forget(self)
 
+    def _encode(self, request: M) -> bytes:
+        if type(request) is not self._request_type:
+            raise TypeError(f"{self.topic}: expected {self._request.name}, got {type(request).__name__}")
+        return self._request.encode(request)
+
+    def _frame(self, payload: bytes, deadline: float) -> bytes:
+        """The next request as it is sent."""
+        self._request_id = (self._request_id + 1) % 2**63
+        header = wire.REQUEST.pack(
+            wire.VERSION, self._request.hash, self._reply.hash, self._request_id, self._computer,
+            int(deadline * 1e9), len(self._origin),
+        )  # fmt: skip
+        return b"".join((self._prefix, header, self._origin, payload))
+
+    def _advance(self) -> None:
+        """Take an open question as far as it goes without waiting."""
+        asked = self._asked
+        if asked is None:
+            return
+        try:
+            if asked.server is None:
+                self._send(asked)
+            if asked.server is not None and self._socket is not None:
+                while self._answer is None:
+                    self._answer = self._take(self._socket.recv(zmq.NOBLOCK), asked.server)
+        except zmq.Again:
+            pass
+        except Error as error:
+            self._answer = error
+        if self._answer is None and time.monotonic() >= asked.deadline:
+            self._answer = self._too_late(asked)
+            self._disconnect()  # what it may still hold must not be sent later
+        if self._answer is not None:
+            self._asked = None
+
+    def _send(self, asked: _Asked) -> None:
+        """Send a question if a server is there and connected."""
+        peers = self._watch.peers
+        if not peers:
+            return
+        self._check(peers[-1])
+        self._connect(peers[-1].entry.endpoint).send(self._frame(asked.payload, asked.deadline), zmq.NOBLOCK)
+        asked.server = peers[-1]
+
+    def _too_late(self, asked: _Asked) -> Error:
+        peers = self._watch.peers
+        if asked.server is not None:
+            return TimeoutError(f"{self.topic}: no reply from {asked.server.node} within {asked.timeout:g} s")
+        if peers:
+            return TimeoutError(f"{self.topic}: no connection to {peers[-1].node} within {asked.timeout:g} s")
+        return self._no_server(asked.timeout)
+
+    def _no_server(self, timeout: float) -> NoServerError:
+        daemon = "" if self._node.discovery.connected else f"; {self._node.daemon_silent}"
+        return NoServerError(f"{self.topic}: no server within {timeout:g} s{daemon}")
+
+    def _check(self, peer: Peer) -> None:
+        if peer.entry.hashes != self._hashes:
+            raise SchemaError(
+                f"{self.topic}: {peer.node} serves {' -> '.join(peer.entry.types)} "
+                f"({' -> '.join(peer.entry.hashes)}), {self._node.name} asks with "
+                f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
+            )
+
     def _ready_socket(self, deadline: float, timeout: float) -> tuple[zmq.Socket[bytes], Peer]:
         """A socket with a live connection to the newest server."""
         peer: Peer | None = None
@@ -111,18 +235,12 @@ class Client(Generic[M, R]):
             if not peers:
                 continue
             peer = peers[-1]
-            if peer.entry.hashes != self._hashes:
-                raise SchemaError(
-                    f"{self.topic}: {peer.node} serves {' -> '.join(peer.entry.types)} "
-                    f"({' -> '.join(peer.entry.hashes)}), {self._node.name} asks with "
-                    f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
-                )
+            self._check(peer)
             socket = self._connect(peer.entry.endpoint)
             if socket.poll(int(min(_SLICE, remaining) * 1000) + 1, zmq.POLLOUT):
                 return socket, peer
         if peer is None:
-            daemon = "" if self._node.discovery.connected else f"; {self._node.daemon_silent}"
-            raise NoServerError(f"{self.topic}: no server within {timeout:g} s{daemon}")
+            raise self._no_server(timeout)
         self._disconnect()
         raise TimeoutError(f"{self.topic}: no connection to {peer.node} within {timeout:g} s")
 

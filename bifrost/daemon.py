@@ -71,6 +71,7 @@ class Daemon:
         self._epoch = secrets.randbits(63)
         self._version = 0
         self._own_version = 0
+        self._refused = 0
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._started = time.monotonic()
@@ -109,11 +110,13 @@ class Daemon:
             except zmq.Again:
                 return
             if len(frames) != 2:
+                self._refused += 1
                 continue
             try:
                 message = d.decode_to_daemon(frames[1].buffer)
             except (msgspec.DecodeError, RecursionError):
-                continue  # from a member, but of another version: unheard, it is dropped
+                self._refused += 1  # from a member, but of another version: unheard, it is dropped
+                continue
             self._handle(frames[0].bytes, int(frames[1].get(zmq.SRCFD)), message)
 
     def _handle(self, sender: bytes, descriptor: int, message: d.ToDaemon) -> None:
@@ -203,6 +206,7 @@ class Daemon:
             uptime=time.monotonic() - self._started,
             nodes=len(self._members),
             computers=[link.computer.name for link in self._links if link.reachable],
+            refused=self._refused,
         )
 
     def _counts(self, topic: str) -> d.Counts:

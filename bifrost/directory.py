@@ -176,6 +176,7 @@ class DaemonInfo(msgspec.Struct, tag="info"):
     uptime: float  # [s]
     nodes: int  # of its own computer
     computers: list[str] = []  # the others that it reaches
+    refused: int = 0  # what members have sent that is no message
 
 
 class Counts(msgspec.Struct, tag="counts"):

@@ -89,6 +89,9 @@ class Server(Generic[M, R]):
         """Whether a request waits outside the socket, where polling does not see it: never."""
         return False
 
+    def patience(self) -> None:
+        """How long one may wait before looking again even if nothing comes: for ever."""
+
     def fileno(self) -> int:
         """A descriptor for an event loop; call ``serve`` after it becomes readable and before the first wait."""
         return int(self.socket.getsockopt(zmq.FD))

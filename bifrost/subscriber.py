@@ -178,6 +178,9 @@ class Subscriber(Generic[M]):
         """Whether a message waits outside the socket, where polling does not see it."""
         return bool(self._waiting)
 
+    def patience(self) -> None:
+        """How long one may wait before looking again even if nothing comes: for ever."""
+
     def close(self) -> None:
         """Unsubscribe and close the socket."""
         if not self._closed:

@@ -1,20 +1,20 @@
-"""One loop over many subscribers and servers."""
+"""One loop over many subscribers, servers and clients."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import zmq
 
 
 class Waitable(Protocol):
-    """What ``wait`` waits for: a subscriber or a server."""
+    """What ``wait`` waits for: a subscriber, a server, or a client that has asked."""
 
     @property
-    def pollable(self) -> zmq.Socket[bytes] | int:
-        """The socket or descriptor to poll."""
+    def pollable(self) -> zmq.Socket[bytes] | int | None:
+        """The socket or descriptor to poll; None: there is none now."""
         ...
 
     def ready(self) -> bool:
@@ -25,31 +25,52 @@ class Waitable(Protocol):
         """Whether something waits outside the socket, where polling does not see it."""
         ...
 
+    def patience(self) -> float | None:
+        """How long one may wait before looking again even if nothing comes [s]; None: for ever."""
+        ...
+
 
 W = TypeVar("W", bound=Waitable)
 
 
 def wait(items: Sequence[W], timeout: float | None = None) -> list[W]:
-    """Wait until one of several subscribers and servers has something.
+    """Wait until one of several subscribers, servers and clients has something.
 
     Args:
-        items: subscribers and servers, of one or of several nodes.
+        items: subscribers, servers and clients, of one or of several nodes.
         timeout: how long [s]; None: for ever; zero or less: not at all.
 
     Returns:
         Those that have something, in the order given; empty after the time-out.
+
+    Raises:
+        ValueError: nothing could ever end the wait.
     """
     deadline = None if timeout is None else time.monotonic() + timeout
-    polled: list[tuple[Any, int]] = [(item.pollable, zmq.POLLIN) for item in items]
     while True:
-        held = any(item.holding() for item in items)
-        remaining = 0.0 if deadline is None else deadline - time.monotonic()
-        if held or (deadline is not None and remaining <= 0.0):
-            milliseconds = 0
-        else:
-            milliseconds = -1 if deadline is None else int(remaining * 1000.0) + 1
+        # Nearly all are never impatient and always poll the same; a client's socket comes and goes.
+        remaining = None if deadline is None else max(0.0, deadline - time.monotonic())
+        shortest, impatient, polled = remaining, [], []
+        for item in items:
+            pollable, patience = item.pollable, item.patience()
+            if pollable is not None:
+                polled.append((pollable, zmq.POLLIN))
+            if patience is not None:
+                impatient.append(item)
+                shortest = patience if shortest is None else min(shortest, patience)
+            if item.holding():
+                shortest = 0.0
+        milliseconds = -1 if shortest is None else 0 if shortest <= 0.0 else int(shortest * 1000.0) + 1
+        if not polled and milliseconds:
+            if milliseconds < 0:
+                raise ValueError("wait: nothing to wait for, and no time limit")
+            time.sleep(milliseconds / 1000.0)
         polled_ready = dict(zmq.zmq_poll(polled, milliseconds))
         # A socket may have woken for news of publishers, or for a message that is refused: nothing for the caller.
-        ready = [item for item in items if item.holding() or (item.pollable in polled_ready and item.ready())]
-        if ready or (deadline is not None and remaining <= 0.0):
+        ready = [
+            item
+            for item in items
+            if item.holding() or ((item in impatient or item.pollable in polled_ready) and item.ready())
+        ]
+        if ready or (remaining is not None and remaining <= 0.0):
             return ready

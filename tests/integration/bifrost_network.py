@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket as sockets
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import psutil
 
 import bifrost
 from bifrost import Computer
@@ -57,6 +59,21 @@ def until(condition: Callable[[], T], what: str, timeout: float = 10.0) -> T:
         assert time.monotonic() < deadline, f"not within {timeout:g} s: {what}"
         time.sleep(0.01)
     return value
+
+
+def ports(pid: int) -> list[int]:
+    """The TCP ports that a process listens on."""
+    return sorted(c.laddr.port for c in psutil.Process(pid).net_connections("tcp") if c.status == psutil.CONN_LISTEN)
+
+
+def mechanism(port: int) -> str:
+    """The ZMTP security mechanism that a port offers, before it has heard of ours."""
+    answer = b""
+    with sockets.create_connection(("127.0.0.1", port), timeout=10.0) as connection:
+        connection.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x01")
+        while len(answer) < 64 and (more := connection.recv(64)):
+            answer += more
+    return answer[12:32].rstrip(b"\0").decode(errors="replace")
 
 
 class Peer:

@@ -15,6 +15,7 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Question,
     Sample,
+    ports,
     until,
 )
 
@@ -51,11 +52,6 @@ GARBAGE = {
     "curve initiate first": CURVE_GREETING + b"\x04\xff\x08INITIATE" + bytes(246),
     "curve long command": CURVE_GREETING + b"\x06" + b"\x7f" + b"\xff" * 7,
 }
-
-
-def ports(pid: int) -> list[int]:
-    """The TCP ports that a process listens on."""
-    return sorted(c.laddr.port for c in psutil.Process(pid).net_connections("tcp") if c.status == psutil.CONN_LISTEN)
 
 
 def throw(port: int, content: bytes) -> bytes:

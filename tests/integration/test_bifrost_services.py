@@ -19,6 +19,7 @@ from tests.integration.bifrost_network import (
     BifrostNetwork,
     Peer,
     Question,
+    Sample,
     until,
 )
 
@@ -265,6 +266,71 @@ def test_many_clients_at_once(net: BifrostNetwork) -> None:
         thread.join()
     assert not wrong
     assert handled(clients[0]) == 200
+
+
+def test_a_loop_asks_and_goes_on(net: BifrostNetwork) -> None:
+    """One thread: it asks, hears a topic all the while, and has the reply when it is there."""
+    net.peer("serve", "lab/ask")
+    net.peer("publish", "lab/sample", "200")
+    node = net.node("looper")
+    client = node.client("lab/ask", Question, Answer)
+    subscriber = node.subscriber("lab/sample", Sample)
+    assert subscriber.receive(timeout=20.0)
+    client.ask(Question("sleep", 0.3), timeout=20.0)
+    assert client.answer() is None
+    heard, answer = 0, None
+    while answer is None:
+        ready = bifrost.wait([subscriber, client], timeout=20.0)
+        assert ready
+        heard += subscriber.latest() is not None
+        answer = client.answer()
+    assert answer == Answer("sleep for looper", 1)
+    assert heard > 5
+    assert client.answer() is None  # it is told once
+    assert client.call(Question("open", 0.0), timeout=10.0).handled == 2  # waiting and looping mix
+    for count in range(3, 30):
+        client.ask(Question("open", 0.0), timeout=10.0)
+        assert bifrost.wait([client], timeout=20.0) == [client]
+        assert client.answer() == Answer("open for looper", count)
+
+
+def test_a_loop_is_told_what_a_call_would_have_raised(net: BifrostNetwork) -> None:
+    node = net.node("looper")
+    client = node.client("lab/ask", Question, Answer)
+
+    def answer_to(question: Question, timeout: float = 20.0) -> Answer | None:
+        client.ask(question, timeout)
+        assert bifrost.wait([client], timeout=30.0) == [client]
+        return client.answer()
+
+    with pytest.raises(bifrost.NoServerError, match=r"^lab/ask: no server within 0.1 s$"):
+        answer_to(Question("open", 0.0), 0.1)
+    with pytest.raises(TypeError, match="expected Question, got Number"):
+        client.ask(Number(1))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="nothing to wait for"):
+        bifrost.wait([client])
+    assert bifrost.wait([client], timeout=0.01) == []
+    peer = net.peer("serve", "lab/ask")  # comes while the question is open
+    assert answer_to(Question("open", 0.0)) == Answer("open for looper", 1)
+    with pytest.raises(bifrost.RemoteError, match="no such valve"):
+        answer_to(Question("raise", 0.0))
+    with pytest.raises(bifrost.TimeoutError, match=r"no reply from serve_peer within 0\.05 s"):
+        answer_to(Question("sleep", 0.3), 0.05)
+    client.ask(Question("sleep", 0.2), timeout=10.0)  # given up: its late reply is not taken for the next one's
+    assert answer_to(Question("close", 0.0)) == Answer("close for looper", handled(client))
+    wrong = node.client("lab/ask", Question, Number)
+    wrong.ask(Question("open", 0.0), timeout=10.0)
+    assert bifrost.wait([wrong], timeout=20.0) == [wrong]
+    with pytest.raises(bifrost.SchemaError, match="Question -> Number"):
+        wrong.answer()
+    client.ask(Question("sleep", 30.0), timeout=1.0)
+    assert bifrost.wait([client], timeout=0.05) == []
+    peer.kill()  # in mid-request
+    assert bifrost.wait([client], timeout=20.0) == [client]
+    with pytest.raises(bifrost.TimeoutError):
+        client.answer()
+    net.peer("serve", "lab/ask")
+    assert answer_to(Question("open", 0.0)) == Answer("open for looper", 1)
 
 
 def test_serve_never_waits(net: BifrostNetwork) -> None:

@@ -18,6 +18,7 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, wait_until
+from tests.integration.bifrost_network import mechanism, ports
 from valor_common.instance import Instance
 from valor_common.processes import BY_NAME
 from valorctl.status import look
@@ -301,6 +302,10 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert {service["state"] for service in seen["services"].values()} == {"ready"}
     assert set(seen["services"]) == set(BY_NAME)
     assert (seen["control_mode"], seen["behavior"], seen["profile"]) == ("stand", "stand", "sim")
+
+    listening = [port for process in ctl.processes() for port in ports(process.pid)]
+    assert len(listening) >= len(BY_NAME)
+    assert {mechanism(port) for port in listening} == {"CURVE"}
 
     refused = ctl("arm", "left", "forward", status=1)
     assert "left_arm_traj_controller" in refused
