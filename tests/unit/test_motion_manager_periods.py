@@ -399,3 +399,33 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
             )
         robot.run(0.04)
         assert robot.manager.in_control
+
+
+SAID = {
+    "joint_position": N, "joint_velocity": N, "joint_effort": N,
+    "imu_orientation": 4, "imu_angular_velocity": 3, "imu_linear_acceleration": 3,
+    "left_foot_wrench": 6, "right_foot_wrench": 6, "left_hand_wrench": 6, "right_hand_wrench": 6,
+}  # fmt: skip
+numbers = st.one_of(st.floats(), st.floats(-1e3, 1e3), st.floats(-4.0, 4.0))  # any at all, absurd, and believable
+slips = st.tuples(st.sampled_from(sorted(SAID)), st.integers(0, N - 1), numbers)
+
+
+@settings(max_examples=8)
+@given(st.lists(st.lists(slips, min_size=1, max_size=6), min_size=1, max_size=8))
+@np.errstate(all="ignore")
+def test_whatever_single_sensors_say_while_it_balances_the_motors_are_sound(
+    periods: list[list[tuple[str, int, float]]],
+) -> None:
+    """Every Motor is checked by ``tick``: finite, torques within limits."""
+    robot = Robot()
+    robot.run(1.0)
+    assert not robot.ask(Behavior.STAND)
+    robot.run(0.4)
+    for period in periods:
+        sound, changes = robot.proprioceptor(), {}
+        for name, place, number in period:
+            vector = changes.setdefault(name, getattr(sound, name).copy())
+            vector[place % SAID[name]] = number
+        robot.tick(**changes)
+    robot.run(0.1)
+    assert robot.behavior in (Behavior.STAND, Behavior.FALL, Behavior.SOFT_STOP)
