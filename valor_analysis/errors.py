@@ -9,3 +9,15 @@ class BagError(ValorError):
 
 class RenderingError(ValorError):
     """This computer cannot render off screen: names what to install."""
+
+
+class SignalError(ValorError):
+    """A signal has too few samples, or two have too little in common, for what is asked of them."""
+
+
+class DissimilarSignalsError(SignalError):
+    """Two signals from which no delay can be told; says why."""
+
+
+class ResultError(ValorError):
+    """An experiment's result is missing or broken: names the file."""

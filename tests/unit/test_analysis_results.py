@@ -1,0 +1,164 @@
+"""Results of experiments, the page made of them, and the statistics of processes."""
+
+from __future__ import annotations
+
+import base64
+import os
+import subprocess
+import sys
+import time
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from tests import analysis_bag
+from valor_analysis import report
+from valor_analysis.bag import Bag
+from valor_analysis.errors import BagError, ResultError, SignalError
+from valor_analysis.joint_signals import JointSignals, draw, neck
+from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
+from valor_analysis.recording import Recording
+from valor_analysis.results import FILE, Measure, Picture, Result, Table, host_facts
+from valor_analysis.style import figure, save
+from valor_analysis.timeline import Motion, Timeline
+from valor_common.robot import RobotDescription
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+
+
+def result(name: str = "one", pictures: list[Picture] | None = None) -> Result:
+    return Result(
+        experiment=name, title="What <one> costs", reproduces="Table 5.1", command=f"valorctl experiment {name}",
+        started="2026-01-01T00:00:00+00:00", quick=True, settings={"seed": "3"}, host=host_facts(), text="Done & said.",
+        measures=[Measure("a", 12.345, "ms", "40", "slower"), Measure("b", None, "ms")],
+        tables=[Table("Rows", ["name", "value"], [["x", "1"], ["y", "2"]])], pictures=pictures or [],
+    )  # fmt: skip
+
+
+class Page(HTMLParser):
+    """What a page holds."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.images: list[bytes] = []
+        self.links: list[str] = []
+        self.outside: list[str] = []
+        self.text = ""
+        self.feed(file.read_text())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {key: value or "" for key, value in attrs}
+        if tag not in {"meta", "img"}:
+            self.open.append(tag)
+        if tag == "img":
+            kind, data = values["src"].split(",", 1)
+            assert kind == "data:image/png;base64"
+            self.images.append(base64.b64decode(data))
+        target = values.get("href", "")
+        (self.links if target.startswith("#") else self.outside).extend([target] if target else [])
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_a_page_holds_all_and_needs_no_other_file(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        save(figure(2.0, 1.0), folder / "a.png")
+        made = result(name, [Picture("a.png", "A <picture>.", "Figure 5.1")])
+        assert Result.load(made.save(folder).parent) == made
+    found = report.collect(tmp_path, ("two", "absent", "one"))
+    assert [each.experiment for each, _ in found] == ["two", "one"]
+    page = Page(report.write(found, tmp_path / "out" / "report.html"))
+    assert page.open == []
+    assert page.outside == []
+    assert page.links == ["#two", "#one"]
+    assert page.images == [(tmp_path / "one" / "a.png").read_bytes()] * 2
+    for words in ("What <one> costs", "Done & said.", "12.3", "A <picture>.", "Figure 5.1", "valorctl experiment two"):
+        assert words in page.text
+
+
+def test_what_is_missing_or_broken_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ResultError, match="no results of experiments"):
+        report.collect(tmp_path, ("one",))
+    (tmp_path / "one").mkdir()
+    with pytest.raises(ResultError, match=r"one/result\.json: No such file"):
+        report.collect(tmp_path, ("one",))
+    (tmp_path / "one" / FILE).write_text('{"experiment": 1}')
+    with pytest.raises(ResultError, match="Expected `str`"):
+        Result.load(tmp_path / "one")
+    result(pictures=[Picture("gone.png", "")]).save(tmp_path / "one")
+    with pytest.raises(ResultError, match=r"gone\.png: No such file"):
+        report.write(report.collect(tmp_path, ("one",)), tmp_path / "report.html")
+
+
+def test_processes_are_measured_as_busy_as_they_are(tmp_path: Path) -> None:
+    programs = {"busy": "while True: pass", "idle": "import time; time.sleep(100)"}
+    start = "print(flush=True)\n"  # the interpreter is up
+    running = {
+        name: subprocess.Popen([sys.executable, "-c", start + text], stdout=subprocess.PIPE)
+        for name, text in programs.items()
+    }
+    looks = 0
+    try:
+        for process in running.values():
+            assert process.stdout is not None
+            process.stdout.readline()
+        sampler = Sampler({name: process.pid for name, process in running.items()})
+        busy = psutil.Process(running["busy"].pid)
+        until = busy.cpu_times().user + 0.5
+        while busy.cpu_times().user < until:
+            time.sleep(0.1)
+            sampler.look()
+            looks += 1
+    finally:
+        for process in running.values():
+            process.kill()
+            process.wait()
+    usage = sampler.usage()
+    assert all(len(one.time) == looks for one in usage.values())
+    assert 0.0 <= usage["idle"].cpu.mean() < usage["busy"].cpu.mean() <= 130.0
+    seconds = usage["busy"].cpu @ np.diff(usage["busy"].time, prepend=0.0) / 100.0
+    assert seconds == pytest.approx(0.5, abs=0.2)
+    assert 1.0 < usage["idle"].memory.mean() < 100.0
+    rows = write_csv(usage, tmp_path / "usage.csv").read_text().splitlines()
+    assert rows[0] == "process,time_s,cpu_percent,memory_mib"
+    assert len(rows) == 1 + 2 * looks
+    assert plot(usage, tmp_path / "usage.png").stat().st_size > 10_000
+    with pytest.raises(SignalError, match="busy: ended"):
+        sampler.look()
+
+
+def test_a_process_that_does_not_run_is_named() -> None:
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    with pytest.raises(SignalError, match="gone: no process"):
+        Sampler({"self": os.getpid(), "gone": gone.pid})
+    assert Usage(*np.zeros((3, 0))).cpu.size == 0
+
+
+def test_a_joints_signals_from_goal_to_encoder(tmp_path: Path) -> None:
+    path = tmp_path / "reach.mcap"
+    analysis_bag.write(path, ROBOT)
+    recording = Recording(Bag(path), ROBOT)
+    goal = {joint: value for joint, value in analysis_bag.GOALS.items() if joint in ROBOT.tables.groups["right_arm"]}
+    timeline = Timeline([Motion("reach", 1.0, 3.4, goal), Motion("look", 1.0, 3.4, {"neck_yaw": -0.5})])
+    elbow = JointSignals.of(recording, timeline, "r_elbow_pitch")
+    assert elbow.response is not None
+    assert 0.0 < elbow.response.seconds < 0.3  # the servo follows its command
+    assert abs(elbow.final_error(timeline)) < 0.02
+    assert 0.001 < elbow.largest_error() < 0.3
+    assert np.nanmax(elbow.reference[1]) == goal["r_elbow_pitch"]
+    look = JointSignals.of(recording, timeline, "neck_yaw")
+    assert draw(recording, [elbow, look], "velocity", "Two", tmp_path / "two.png").stat().st_size > 10_000
+    assert neck(recording, look, tmp_path / "neck.png").stat().st_size > 10_000
+    with pytest.raises(BagError, match="no motion moved l_elbow_pitch"):
+        JointSignals.of(recording, timeline, "l_elbow_pitch")

@@ -1,0 +1,43 @@
+"""What the Motion System was doing, as colored bands under a plot."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from valor_analysis.bag import Array
+
+HEIGHT = 0.05  # of the axes
+_COLORS = {
+    "idle": "#c9ced6", "stand_prep": "#e3d5a8", "stand": "#b7d3ea", "stand_manipulate": "#bfe3cf",
+    "walk": "#f1c8a5", "walk_manipulate": "#f4dd9a", "step": "#e8bfd4", "step_manipulate": "#d9c3ec",
+    "soft_stop": "#e6a5a0", "freeze": "#d98c86", "fall": "#b55a52",
+}  # fmt: skip
+_OTHER = "#dde1e6"
+
+
+def bands(axes: Axes, time: Array, behavior: npt.NDArray[np.str_], label: bool = True) -> None:
+    """Draw them along the bottom of some axes.
+
+    Args:
+        axes: the plot.
+        time: (m,) in the plot's own time, ascending.
+        behavior: (m,) at these times.
+        label: whether each band names its behavior, where there is room.
+    """
+    if not len(time):
+        return
+    edges = np.flatnonzero(behavior[1:] != behavior[:-1]) + 1
+    starts = np.concatenate(([0], edges))
+    ends = np.concatenate((edges, [len(time) - 1]))
+    whole = float(time[-1] - time[0]) or 1.0
+    for start, end in zip(starts, ends, strict=True):
+        name = str(behavior[start])
+        begin, stop = float(time[start]), float(time[end])
+        axes.axvspan(begin, stop, ymin=0.0, ymax=HEIGHT, color=_COLORS.get(name, _OTHER), linewidth=0.0, zorder=0.5)
+        if label and (stop - begin) / whole > 0.012 * len(name):
+            axes.text(
+                0.5 * (begin + stop), 0.5 * HEIGHT, name.replace("_", " "), fontsize=7, color="#4a525c",
+                ha="center", va="center", transform=axes.get_xaxis_transform(),
+            )  # fmt: skip

@@ -1,0 +1,133 @@
+"""The figures of thesis 5.4: a hand's errors over time, on a fixed and a floating base; the robot at its poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+
+from valor_analysis import style
+from valor_analysis.bag import Array
+from valor_analysis.bands import bands
+from valor_analysis.end_effector import HandTrack, PoseError
+from valor_analysis.recording import Recording
+from valor_analysis.scene import Scene
+
+_AXES = ("x", "y", "z")
+_TURNS = ("roll", "pitch", "yaw")
+_PANEL = (420, 560)  # [pixels]
+_DPI = 100
+
+
+def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: Path) -> Path:
+    """Position above and orientation below, by component, over time."""
+    figure = style.figure(11.0, 5.8)
+    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    at = track.time - track.time[0]
+    for row, (values, names, unit) in enumerate(
+        ((100.0 * error.position, _AXES, "[cm]"), (np.rad2deg(error.orientation), _TURNS, "[°]"))
+    ):
+        axes = figure.add_subplot(grid[row])
+        last = row == 1
+        style.quiet(axes, ("position", "orientation")[row], "robot time [s]" if last else "", unit)
+        for i, name in enumerate(names):
+            axes.plot(at, values[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
+        if row == 0:
+            axes.plot(at, np.linalg.norm(values, axis=1), color=style.GREY, linewidth=0.9, label="distance")
+        _finish(axes, at, values)
+        bands(axes, at, track.behavior)
+        _mark(axes, track)
+        handles = axes.get_legend_handles_labels()[0]
+        style.legend(axes, handles, loc="upper right", bbox_to_anchor=(1.0, 1.24), ncols=4)
+    style.heading(figure, title, subtitle)
+    return style.save(figure, file)
+
+
+def base(track: HandTrack, file: Path) -> Path:
+    """What the base's motion does to the hand, by component and as a distance, beside the whole error."""
+    figure = style.figure(11.0, 5.8)
+    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    at = track.time - track.time[0]
+    moved, total = track.base_error, track.total_error
+    above, below = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    style.quiet(above, "floating base minus fixed base", "", "[cm]")
+    for i, name in enumerate(_AXES):
+        above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
+    style.quiet(below, "distance", "robot time [s]", "[cm]")
+    below.plot(at, 100.0 * total.distance, color=style.GREY, linewidth=1.0, label="from the goal, all causes")
+    below.plot(at, 100.0 * moved.distance, color=style.MEASURED, linewidth=1.6, label="by the base's motion")
+    top = 130.0 * float(max(moved.distance.max(), np.quantile(total.distance, 0.3)))
+    below.set_ylim(0.0, max(top, 1.0))  # on the way to a goal the whole error is far larger: not what this is about
+    _finish(above, at, 100.0 * moved.position)
+    below.set_xlim(at[0], at[-1])
+    for axes in (above, below):
+        bands(axes, at, track.behavior)
+        _mark(axes, track)
+        style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.24), ncols=3)
+    largest = 100.0 * float(moved.distance.max())
+    style.heading(figure, "What the floating base does to the hand", f"at most {largest:.1f} cm")
+    return style.save(figure, file)
+
+
+def torso(track: HandTrack, file: Path) -> Path:
+    """How the chest, which carries the arms, moves while an arm does."""
+    figure = style.figure(11.0, 3.4)
+    axes = figure.add_axes((0.07, 0.15, 0.915, 0.60))
+    at = track.time - track.time[0]
+    moved = 100.0 * (track.chest.position - track.chest.position[0])
+    style.quiet(axes, "", "robot time [s]", "[cm]")
+    for i, name in enumerate(_AXES):
+        axes.plot(at, moved[:, i], color=style.SERIES[i], linewidth=1.4, label=name)
+    _finish(axes, at, moved)
+    bands(axes, at, track.behavior)
+    _mark(axes, track)
+    style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.28), ncols=3)
+    style.heading(figure, "The torso gives way to the arm", "position of the chest from where it was")
+    return style.save(figure, file)
+
+
+def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Path) -> Path:
+    """The robot at rest at some poses, drawn, with how far hand and torso are from where they were meant to be."""
+    motions = {motion.name: motion for motion in track.motions}
+    chosen = [motions[name] for name in names if name in motions]
+    width, height = _PANEL
+    with closing(Scene(recording.robot, width, height, *recording.world)) as scene:
+        images = []
+        for motion in chosen:
+            posture = recording.posture(motion.end)
+            scene.look_at(np.array([*posture.pelvis_position[:2], 1.0]), distance=2.5, azimuth=140.0)
+            images.append(scene.draw(posture))
+    header = 84
+    figure = style.figure(len(chosen) * width / _DPI, (height + header) / _DPI, _DPI)
+    share = height / (height + header)
+    for i, (motion, image) in enumerate(zip(chosen, images, strict=True)):
+        figure.figimage(image, xo=i * width, yo=0, origin="upper")
+        rest = track.settled(motion)
+        moved = 100.0 * float(track.base_error.distance[rest].mean())
+        off = 100.0 * float(track.total_error.distance[rest].mean())
+        middle, top = (i + 0.5) / len(chosen), share + (1.0 - share) * 0.66
+        figure.text(middle, top, motion.name, ha="center", va="center", fontsize=15, color=style.INK, weight="bold")
+        figure.text(middle, top - (1.0 - share) * 0.36, f"hand off by {off:.1f} cm, {moved:.1f} cm of it by the torso",
+                    ha="center", va="center", fontsize=9.5, color=style.GREY)  # fmt: skip
+    return style.save(figure, file, _DPI)
+
+
+def _finish(axes: object, at: Array, values: Array) -> None:
+    from matplotlib.axes import Axes
+
+    assert isinstance(axes, Axes)
+    axes.set_xlim(at[0], at[-1])
+    low, high = float(values.min()), float(values.max())
+    room = max(high - low, 1e-3)
+    axes.set_ylim(low - 0.18 * room, high + 0.12 * room)  # below: the bands
+
+
+def _mark(axes: object, track: HandTrack) -> None:
+    """A thin line where each motion begins."""
+    from matplotlib.axes import Axes
+
+    assert isinstance(axes, Axes)
+    for motion in track.motions:
+        axes.axvline(motion.start - track.time[0], color=style.LIGHT, linewidth=0.9, zorder=0.6)

@@ -1,0 +1,148 @@
+"""The report: every experiment's result on one page that needs no other file."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+from valor_analysis.errors import ResultError
+from valor_analysis.results import Measure, Picture, Result, Table
+
+_STYLE = """
+:root { color-scheme: light; --ink: #22272e; --grey: #6b7480; --line: #dde1e6; --soft: #f5f7f9; --accent: #0072b2; }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 62rem; padding: 2.5rem 1.5rem 5rem; color: var(--ink); background: white;
+       font: 16px/1.55 "DejaVu Sans", "Segoe UI", Roboto, Helvetica, Arial, sans-serif; }
+h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .4rem; }
+h2 { font-size: 1.35rem; margin: 3.2rem 0 .2rem; padding-top: 1.4rem; border-top: 2px solid var(--line); }
+h3 { font-size: 1rem; margin: 1.8rem 0 .4rem; }
+p { margin: .5rem 0 .9rem; max-width: 46rem; }
+.quiet { color: var(--grey); font-size: .87rem; }
+nav { margin: 1.4rem 0; padding: .9rem 1.2rem; background: var(--soft); border-radius: .4rem; }
+nav a { display: block; color: var(--accent); text-decoration: none; padding: .12rem 0; }
+nav a:hover { text-decoration: underline; }
+table { border-collapse: collapse; width: 100%; margin: .6rem 0 1rem; font-size: .9rem; }
+th { text-align: left; color: var(--grey); font-weight: normal; border-bottom: 1px solid var(--line); }
+th, td { padding: .32rem .7rem .32rem 0; vertical-align: top; }
+td { border-bottom: 1px solid var(--soft); }
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.here { font-weight: bold; }
+td.note { color: var(--grey); }
+figure { margin: 1.4rem 0; }
+figure img { width: 100%; height: auto; border: 1px solid var(--line); border-radius: .3rem; }
+figcaption { color: var(--grey); font-size: .87rem; margin-top: .3rem; }
+code { background: var(--soft); padding: .1rem .35rem; border-radius: .25rem; font-size: .88em; }
+.warning { background: #fdf3df; border-left: 4px solid #e69f00; padding: .5rem .9rem; margin: .8rem 0; }
+@media print { body { max-width: none; padding: 0; } h2 { break-before: page; border: 0; }
+               figure, table { break-inside: avoid; } }
+@media (max-width: 40rem) { table { display: block; overflow-x: auto; } }
+"""
+
+
+def collect(folder: Path, order: Sequence[str]) -> list[tuple[Result, Path]]:
+    """The results in the folders of a folder, in the order of their experiments' names.
+
+    Raises:
+        ResultError: there is none; or one of them is broken.
+    """
+    found = [(Result.load(folder / name), folder / name) for name in order if (folder / name).is_dir()]
+    if not found:
+        raise ResultError(f"{folder}: no results of experiments ({', '.join(order)})")
+    return found
+
+
+def write(results: Sequence[tuple[Result, Path]], file: Path) -> Path:
+    """Write the page; returns its path.
+
+    Args:
+        results: with the folders in which their pictures are.
+        file: of the page.
+
+    Raises:
+        ResultError: a picture is missing.
+    """
+    parts = "".join(_section(result, folder) for result, folder in results)
+    links = "".join(
+        f'<a href="#{_text(result.experiment)}">{_text(result.title)} '
+        f'<span class="quiet">{_text(result.reproduces)}</span></a>'
+        for result, _ in results
+    )
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(
+        "<!doctype html>\n"
+        f'<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>Chapter 5, measured again</title><style>{_STYLE}</style></head><body>"
+        "<h1>Chapter 5, measured again</h1>"
+        "<p>The numerical results of the thesis from which this system was built, repeated on it: each number beside "
+        "the one printed there, and why they differ.</p>"
+        f"<nav>{links}</nav>{_host(results[0][0])}{parts}</body></html>\n"
+    )
+    return file
+
+
+def _section(result: Result, folder: Path) -> str:
+    quick = (
+        '<p class="warning">A short run: it shows that everything works; its numbers say little.</p>'
+        if result.quick
+        else ""
+    )
+    settings = ", ".join(f"{key} {value}" for key, value in result.settings.items())
+    files = f" Data beside it: {', '.join(_text(file) for file in result.files)}." if result.files else ""
+    return (
+        f'<h2 id="{_text(result.experiment)}">{_text(result.title)}</h2>'
+        f'<p class="quiet">{_text(result.reproduces)} · {_text(result.started)} · {_text(settings)}</p>'
+        f"{quick}<p>{_text(result.text)}</p>{_measures(result.measures)}"
+        f"{''.join(_table(table) for table in result.tables)}"
+        f"{''.join(_picture(picture, folder) for picture in result.pictures)}"
+        f'<p class="quiet">Made again by <code>{_text(result.command)}</code>.{files}</p>'
+    )
+
+
+def _measures(measures: Sequence[Measure]) -> str:
+    rows = "".join(
+        f'<tr><td>{_text(one.name)}</td><td class="number here">{_number(one.value)}</td><td>{_text(one.unit)}</td>'
+        f'<td>{_text(one.thesis) or "–"}</td><td class="note">{_text(one.note)}</td></tr>'
+        for one in measures
+    )
+    head = '<tr><th></th><th class="number">here</th><th></th><th>thesis</th><th></th></tr>'
+    return f"<table>{head}{rows}</table>" if rows else ""
+
+
+def _table(table: Table) -> str:
+    first, *others = table.columns
+    head = f"<th>{_text(first)}</th>" + "".join(f'<th class="number">{_text(name)}</th>' for name in others)
+    rows = "".join(
+        f"<tr><td>{_text(row[0])}</td>"
+        + "".join(f'<td class="number">{_text(cell)}</td>' for cell in row[1:])
+        + "</tr>"
+        for row in table.rows
+    )
+    return f"<h3>{_text(table.title)}</h3><table><tr>{head}</tr>{rows}</table>"
+
+
+def _picture(picture: Picture, folder: Path) -> str:
+    file = folder / picture.file
+    try:
+        data = base64.b64encode(file.read_bytes()).decode()
+    except OSError as error:
+        raise ResultError(f"{file}: {error.strerror}; the result names it as a picture") from None
+    where = f" Reproduces {_text(picture.reproduces)}." if picture.reproduces else ""
+    return (
+        f'<figure><img alt="{_text(picture.caption)}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{_text(picture.caption)}{where}</figcaption></figure>"
+    )
+
+
+def _host(result: Result) -> str:
+    facts = ", ".join(f"{key}: {value}" for key, value in result.host.items())
+    return f'<p class="quiet">Measured on {_text(facts)}.</p>'
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _text(value: str) -> str:
+    return html.escape(value)

@@ -1,0 +1,103 @@
+"""What an experiment found, as one file beside its figures: the report is made of these alone."""
+
+from __future__ import annotations
+
+import os
+import platform
+from pathlib import Path
+
+import msgspec
+import psutil
+
+from valor_analysis.errors import ResultError
+
+FILE = "result.json"
+
+
+class Measure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One number, beside the thesis'."""
+
+    name: str
+    value: float | None  # None: could not be measured; the note says why
+    unit: str
+    thesis: str = ""  # as printed there; empty: not there
+    note: str = ""  # what is the same, what differs and why
+
+
+class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Rows of text, the first column naming each."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[str]]
+
+
+class Picture(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A figure, in a file beside the result."""
+
+    file: str
+    caption: str
+    reproduces: str = ""  # the thesis' figure
+
+
+class Result(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One run of one experiment."""
+
+    experiment: str
+    title: str
+    reproduces: str  # tables and figures of the thesis
+    command: str  # that makes it again
+    started: str  # ISO 8601
+    quick: bool  # a short form: it shows that everything works, its numbers say little
+    settings: dict[str, str]  # robot, profile, actuators, seed, …
+    host: dict[str, str]
+    text: str  # what was done, in a few sentences
+    measures: list[Measure]
+    tables: list[Table] = []
+    pictures: list[Picture] = []
+    files: list[str] = []  # CSV, bag
+
+    @classmethod
+    def load(cls, folder: Path) -> Result:
+        """Read the result in a folder.
+
+        Raises:
+            ResultError: there is none, or it is not one; names the file.
+        """
+        file = folder / FILE
+        try:
+            return msgspec.json.decode(file.read_bytes(), type=cls)
+        except OSError as error:
+            raise ResultError(f"{file}: {error.strerror}; expected the result of an experiment") from None
+        except msgspec.DecodeError as error:
+            raise ResultError(f"{file}: {error}") from None
+
+    def save(self, folder: Path) -> Path:
+        """Write it into a folder; returns the file."""
+        file = folder / FILE
+        file.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n")
+        return file
+
+
+def host_facts() -> dict[str, str]:
+    """The computer that an experiment runs on, and how busy it is."""
+    model = next(
+        (line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")),
+        platform.machine(),
+    )
+    load = os.getloadavg()
+    return {
+        "processor": model,
+        "cores": str(os.cpu_count()),
+        "memory": f"{psutil.virtual_memory().total / 2**30:.0f} GiB",
+        "system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "load": f"{load[0]:.1f} before it began (mean of one minute)",
+    }
+
+
+def _lines(file: str) -> list[str]:
+    try:
+        return Path(file).read_text().splitlines()
+    except OSError:
+        return []

@@ -1,0 +1,52 @@
+"""What an experiment asked of the robot, and when: kept beside the bag, for goals of actions are not in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from valor_analysis.bag import Array
+from valor_analysis.errors import BagError
+
+
+class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One goal of a trajectory controller."""
+
+    name: str
+    start: float  # when it was sent, robot time [s]
+    end: float  # when the robot had come to rest after it, robot time [s]
+    goal: dict[str, float]  # final positions by joint [rad]
+
+
+class Timeline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The motions of an experiment, in the order in which they were made."""
+
+    motions: list[Motion]
+
+    @classmethod
+    def load(cls, file: Path) -> Timeline:
+        """Read one.
+
+        Raises:
+            BagError: it cannot be read, or is none.
+        """
+        try:
+            return msgspec.json.decode(file.read_bytes(), type=cls)
+        except OSError as error:
+            raise BagError(f"{file}: {error.strerror}; expected the experiment's motions") from None
+        except msgspec.DecodeError as error:
+            raise BagError(f"{file}: {error}") from None
+
+    def save(self, file: Path) -> None:
+        """Write it."""
+        file.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n")
+
+    def reference(self, joint: str, times: Array) -> Array:
+        """(m,) the last goal that a joint was given before each of some times [s]; NaN before its first."""
+        made = np.full(len(times), np.nan)
+        for motion in self.motions:
+            if joint in motion.goal:
+                made[times >= motion.start] = motion.goal[joint]
+        return made
