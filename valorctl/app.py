@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from valorctl.verbs import bags, demonstration, diagnosis, lifecycle, motion, observation, step
+from valorctl.verbs import bags, demonstration, diagnosis, experiments, lifecycle, motion, observation, step
 
 # Verbs of Bifrost itself; loaded when used.
 _MOUNTED = ("topic", "service")
@@ -61,7 +61,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
 )
-for _group in (lifecycle, observation, motion, step, bags, demonstration, diagnosis):
+for _group in (lifecycle, observation, motion, step, bags, demonstration, experiments, diagnosis):
     _group.register(app)
 
 

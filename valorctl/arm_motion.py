@@ -98,19 +98,30 @@ def move_arm(
         # The controller wants all joints of the arm; those that the preset leaves out stay.
         goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.groups[f"{side}_arm"]}
         duration = trajectory_duration(robot, start, goal, speed)
-        _follow(instance, side, goal, duration, check)
+        follow(instance, f"{side}_arm", goal, duration, check)
         worst, error = _final_error(robot, measured, goal, tolerance, check)
     return ArmMotion(duration, worst, error, tolerance)
 
 
-def _follow(
+def follow(
     instance: Instance,
-    side: Side,
+    group: str,
     goal: Mapping[str, float],
     duration: float,
-    check: Callable[[], None],
+    check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Send the trajectory and wait for its result."""
+    """Bring the joints of a group to rest at a goal by way of the VRC's trajectory controller, and wait for the result.
+
+    Args:
+        instance: must be up.
+        group: of robot.yaml, such as ``left_arm``.
+        goal: final position of every joint of the group [rad].
+        duration: of the motion [robot time, s].
+        check: called while waiting; may raise to give up, which cancels the motion.
+
+    Raises:
+        ValorError: the goal was refused, or the motion failed; carries the controller's words.
+    """
     from builtin_interfaces.msg import Duration
     from control_msgs.action import FollowJointTrajectory
     from trajectory_msgs.msg import JointTrajectoryPoint
@@ -128,14 +139,14 @@ def _follow(
             time_from_start=Duration(sec=int(whole), nanosec=int(part * 1e9)),
         )
     ]
-    action = f"/trajectory_controllers/{side}_arm_traj_controller/follow_joint_trajectory"
+    action = f"/trajectory_controllers/{group}_traj_controller/follow_joint_trajectory"
     with RosClient(instance, check) as ros:
         try:
             result = ros.call_action(FollowJointTrajectory, action, message, duration / _SLOWEST_CLOCK + _RESULT_MARGIN)
         except GoalRefusedError:
             raise GoalRefusedError(f"{ros.diagnosis('last trajectory refused') or action} (goal refused)") from None
     if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
-        raise ValorError(f"{side}_arm_traj_controller: error {result.error_code}: {result.error_string}")
+        raise ValorError(f"{group}_traj_controller: error {result.error_code}: {result.error_string}")
 
 
 def _positions(robot: RobotDescription, measured: bifrost.Subscriber[Proprioceptor]) -> dict[str, float]:

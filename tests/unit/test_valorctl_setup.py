@@ -118,11 +118,12 @@ def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
 
 def test_the_profiles_that_come_with_us_are_valid() -> None:
     files = sorted((Path(resources.profile_file("sim"))).parent.glob("*.yaml"))
-    assert [file.stem for file in files] == ["sim"]
-    for file in files:
-        profile = Profile.load(file)
-        assert profile.initial_mode == "stand"
-        assert [p.name for p in profile.table] == list(BY_NAME)
+    assert [file.stem for file in files] == ["bifrost", "sim"]
+    daemon, robot = (Profile.load(file) for file in files)
+    assert robot.initial_mode == "stand"
+    assert [p.name for p in robot.table] == list(BY_NAME)
+    assert daemon.initial_mode is None
+    assert [p.name for p in daemon.table] == ["bifrostd"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,61 @@
+"""The thesis' experiments as a person runs them, in their short form, and the report of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.system import System, leftovers, shared_memory
+from valorctl.experiments.table import EXPERIMENTS
+from valorctl.verbs.experiments import INSTANCE
+
+
+@pytest.fixture
+def system(home: Path) -> System:
+    return System(INSTANCE, home)
+
+
+def measured(folder: Path, experiment: str) -> tuple[dict[str, Any], dict[str, float]]:
+    """A result, and its numbers by name."""
+    result = json.loads((folder / experiment / "result.json").read_text())
+    assert result["quick"]
+    for file in [*result["files"], *(picture["file"] for picture in result["pictures"])]:
+        assert (folder / experiment / file).stat().st_size > 100
+    return result, {measure["name"]: measure["value"] for measure in result["measures"]}
+
+
+def test_experiments_leave_results_and_a_report_gathers_them(system: System, home: Path) -> None:
+    before = shared_memory()
+    out = home / "out"
+    for name in ("ipc-latency", "tracking"):
+        told = system.valorctl("experiment", name, "--quick", "--seed", "2", "--out", str(out), timeout=170.0).stdout
+        assert str(out / name / "result.json") in told
+
+    result, numbers = measured(out, "ipc-latency")
+    assert [row[-1] for row in result["tables"][0]["rows"]] == ["0"] * 4  # nothing was lost
+    assert 0.0 < numbers["Bifrost, mean"] < 1e5
+    assert 0.0 < numbers["ROS 2 (rclpy, Fast DDS), mean"] < 1e5
+
+    result, numbers = measured(out, "tracking")
+    assert result["settings"]["seed"] == "2"
+    assert numbers["arm joint at rest from its goal, largest"] < 0.05
+    assert numbers["neck yaw at rest from its goal"] < 0.05
+    assert 0.0 < numbers["encoder after motor command, mean"] < 200.0
+
+    told = system.valorctl("report", str(out)).stdout
+    assert "2 experiments" in told
+    assert "not there: process-stats, end-effector" in told
+    assert (out / "report.html").stat().st_size > 100_000
+    assert leftovers(home, system.name, before) == []
+
+
+def test_the_experiments_are_listed_and_others_refused(system: System, home: Path) -> None:
+    told = system.valorctl("experiment").stdout
+    for each in EXPERIMENTS:
+        assert each.name in told
+        assert each.reproduces in told
+    system.valorctl("experiment", "walking", expect=1)
+    system.valorctl("report", str(home / "nowhere"), expect=1)

@@ -1,0 +1,133 @@
+"""Figures 5.7–5.15: where the hand ends, on a fixed base as clients assume it, and on the floating one.
+
+Twice: as the thesis' controller did it, which keeps the center of mass where it is and lets the torso give way, and as
+ours does it, which lets the center of mass go with the arm as far as the feet allow.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+
+from valor_analysis.bag import Array, Bag
+from valor_analysis.end_effector import HandTrack
+from valor_analysis.recording import Recording
+from valor_analysis.results import Measure, Table
+from valorctl.experiments import arm_session, robot_variant
+from valorctl.experiments.experiment import Run
+
+THESIS = {"whole_body": {"com_shift_limit": 0.0}}  # the center of mass stays, whatever the arms do
+
+
+def run(run: Run) -> None:
+    """Move the right arm through predefined configurations, without and with what compensates for the torso."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    from valor_analysis import end_effector_plots as plots
+
+    folder = robot_variant.make(run.options.robot, THESIS, run.out / "robot")
+    kept, recording = _session(run, run.out / "end_effector.mcap", folder)
+    ours, _ = _session(run, run.out / "end_effector_compensated.mcap", None)
+    run.text = (
+        f"The right arm goes through the configurations {', '.join(dict.fromkeys(m.name for m in kept.motions))} in "
+        f"control mode {arm_session.MODE}. Poses are of the gripper's frame, by forward kinematics. Fixed base: the "
+        "torso is taken to stay, as clients do. Floating base: it is where the estimator says. As in the thesis, the "
+        "Whole-Body Controller keeps the center of mass where it is (com_shift_limit 0), and nothing compensates for "
+        "what the torso does; a second run shows this system's own way, in which the center of mass goes with the arm."
+    )
+    run.tables += [_table("As in the thesis: at rest after each motion [cm]", kept),
+                   _table("This system's own way [cm]", ours)]  # fmt: skip
+    _measure(run, kept, ours)
+    run.files += [_write_csv(kept, run.out / "end_effector.csv"),
+                  _write_csv(ours, run.out / "end_effector_compensated.csv")]  # fmt: skip
+    run.progress.waiting("drawing")
+    for error, name, title, subtitle, figure in (
+        (kept.command_error, "command", "What the VRC still has to go", "its set-points from the goal, fixed base",
+         "Figure 5.8"),
+        (kept.tracking_error, "tracking", "How the robot follows the VRC", "measured from its set-points, fixed base",
+         "Figures 5.9, 5.14"),
+        (kept.total_error, "total", "How far the hand is from its goal", "measured, floating base, from the goal",
+         "Figure 5.11"),
+    ):  # fmt: skip
+        made = plots.errors(kept, error, title, subtitle, run.out / f"end_effector_{name}.png")
+        run.picture([made], f"{title}: {subtitle}.", figure)
+    run.picture([plots.base(kept, run.out / "end_effector_base.png")],
+                "The hand's pose with the base where it is, from that with the base where it was.",
+                "Figures 5.12, 5.15")  # fmt: skip
+    run.picture([plots.base(ours, run.out / "end_effector_base_compensated.png")],
+                "The same where the center of mass goes with the arm.")  # fmt: skip
+    run.picture([plots.torso(kept, run.out / "end_effector_torso.png")], "The torso's motion.")
+    names = list(dict.fromkeys(motion.name for motion in kept.motions))
+    run.picture([plots.poses(recording, kept, names, run.out / "end_effector_poses.png")],
+                "The robot at rest at each pose.", "Figures 5.7, 5.10, 5.13")  # fmt: skip
+
+
+def _session(run: Run, bag: Path, robot: Path | None) -> tuple[HandTrack, Recording]:
+    """Record the motions, and compute the hand's poses."""
+    timeline, description = arm_session.record(run, bag, robot)
+    run.progress.waiting("computing the hand's poses")
+    recording = Recording(Bag(bag), description)
+    return HandTrack.of(recording, timeline, "right"), recording
+
+
+def _table(title: str, track: HandTrack) -> Table:
+    rows = []
+    for motion in track.motions:
+        rest = track.settled(motion)
+        shift = 100.0 * track.base_error.position[rest].mean(axis=0)
+        distances = (track.base_error, track.total_error, track.tracking_error)
+        rows.append([motion.name, *(f"{value:+.1f}" for value in shift),
+                     *(f"{100.0 * each.distance[rest].mean():.1f}" for each in distances)])  # fmt: skip
+    return Table(title, ["pose", "base x", "base y", "base z", "by the base", "from the goal", "from set-points"], rows)
+
+
+def _measure(run: Run, kept: HandTrack, ours: HandTrack) -> None:
+    """The numbers that the thesis gives."""
+    moved, total, turned = _at_rest(kept)
+    away = np.array([motion.name != "home" for motion in kept.motions])
+    run.measures += [
+        Measure("command to sensed, largest", 100.0 * float(kept.tracking_error.distance.max()), "cm",
+                "≤ 2 (simulation)", "on the way; at rest it is the last column of the table"),
+        Measure("by the floating base, smallest at a pose", 100.0 * float(moved[away].min()), "cm", "3"),
+        Measure("by the floating base, largest at a pose", 100.0 * float(moved[away].max()), "cm", "6",
+                "poses and masses are not the thesis', which gives neither"),
+        Measure("by the floating base, largest component",
+                100.0 * float(np.abs(kept.base_error.position).max()), "cm", "5"),
+        Measure("from the goal at rest, largest", 100.0 * float(total.max()), "cm", "10 (hardware)"),
+        Measure("share of the base in it", float((moved[away] / total[away]).mean()), "", "a little under ½ (hardware)",
+                "near 1: the joints reach their goals, what is left is the base's"),
+        Measure("orientation at rest, largest angle", float(np.rad2deg(turned.max())), "°", "converges to 0"),
+        Measure("by the floating base where the CoM goes with the arm, largest at a pose",
+                100.0 * float(_at_rest(ours)[0][away].max()), "cm", "", "this system's own way"),
+    ]  # fmt: skip
+
+
+def _at_rest(track: HandTrack) -> tuple[Array, Array, Array]:
+    """By motion, at rest: distance by the base, distance from the goal [m], largest angle from the goal [rad]."""
+    rests = [track.settled(motion) for motion in track.motions]
+    base, total = track.base_error, track.total_error
+    return (
+        np.array([base.distance[rest].mean() for rest in rests]),
+        np.array([total.distance[rest].mean() for rest in rests]),
+        np.array([np.abs(total.orientation[rest]).max() for rest in rests]),
+    )
+
+
+def _write_csv(track: HandTrack, file: Path) -> Path:
+    """Time and all errors, a row a moment."""
+    columns = {"command": track.command_error, "tracking": track.tracking_error, "total": track.total_error,
+               "base": track.base_error}  # fmt: skip
+    with open(file, "w", newline="") as out:
+        writer = csv.writer(out)
+        header = ["time_s", "behavior"]
+        for name in columns:
+            header += [f"{name}_{axis}_m" for axis in "xyz"] + [
+                f"{name}_{turn}_rad" for turn in ("roll", "pitch", "yaw")
+            ]
+        writer.writerow(header)
+        values = np.hstack([part for error in columns.values() for part in (error.position, error.orientation)])
+        for at, behavior, row in zip(track.time, track.behavior, values, strict=True):
+            writer.writerow([f"{at:.4f}", behavior, *(f"{value:.6f}" for value in row)])
+    return file

@@ -1,0 +1,116 @@
+"""What every experiment is given, and how it leaves its result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from valor_analysis.results import Measure, Picture, Result, Table, host_facts
+from valor_common.errors import ValorError
+from valor_common.instance import Instance, Settings
+from valorctl import demonstration
+from valorctl.console import Progress
+from valorctl.instance_setup import Request
+from valorctl.interruption import Interruption
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line said."""
+
+    out: Path  # the experiment's own folder
+    quick: bool = False
+    seed: int = 0
+    actuators: str = "hardware"
+    robot: str = "escher"
+
+
+@dataclass
+class Run:
+    """One run: what it may use, and what it has found so far."""
+
+    instance: Instance
+    options: Options
+    progress: Progress
+    interruption: Interruption
+    settings: dict[str, str] = field(default_factory=dict)
+    text: str = ""
+    measures: list[Measure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+
+    @property
+    def out(self) -> Path:
+        """The folder for what it leaves."""
+        return self.options.out
+
+    @contextmanager
+    def system(self, *, profile: str = "sim", bag: Path | None = None, robot: Path | None = None) -> Iterator[Settings]:
+        """A system of the experiment's own that is up inside and down behind, whatever happens.
+
+        Args:
+            profile: which processes it has.
+            bag: where its recorder writes.
+            robot: its folder; the profile's robot unless given.
+        """
+        if bag is not None:
+            bag.unlink(missing_ok=True)  # an earlier run's: the recorder would take another name
+        request = Request(
+            profile=profile, robot=str(robot or self.options.robot), actuators=self.options.actuators,
+            seed=self.options.seed, bag=bag,
+        )  # fmt: skip
+        with demonstration.running(self.instance, request, self.progress, self.interruption) as settings:
+            self.settings |= {
+                "robot": settings.robot.name, "profile": settings.profile, "clock": settings.clock,
+                "actuators": settings.actuators, "world": settings.world, "seed": str(settings.seed),
+            }  # fmt: skip
+            yield settings
+
+    def picture(self, files: list[Path], caption: str, reproduces: str = "") -> None:
+        """Add figures to the result."""
+        self.pictures += [Picture(str(file.relative_to(self.out)), caption, reproduces) for file in files]
+        self.interruption.check()
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One line of the table."""
+
+    name: str
+    title: str
+    reproduces: str
+    run: Callable[[Run], None]
+
+    def perform(
+        self, instance: Instance, options: Options, progress: Progress, interruption: Interruption
+    ) -> tuple[Result, Path]:
+        """Run it.
+
+        Returns:
+            Its result, and the file that it was written to.
+
+        Raises:
+            ValorError: it failed; says where. Nothing goes on running behind it.
+        """
+        try:
+            options.out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValorError(f"{error.filename}: {error.strerror}") from None
+        host = host_facts()
+        started = datetime.now().astimezone().isoformat(timespec="seconds")
+        run = Run(instance, options, progress, interruption)
+        self.run(run)
+        words = [f"valorctl experiment {self.name}", *(["--quick"] if options.quick else [])]
+        if run.settings:
+            words += [f"--seed {options.seed}", f"--actuators {options.actuators}", f"--robot {options.robot}"]
+        result = Result(
+            experiment=self.name, title=self.title, reproduces=self.reproduces, command=" ".join(words),
+            started=started, quick=options.quick, settings=run.settings, host=host, text=run.text,
+            measures=run.measures, tables=run.tables, pictures=run.pictures,
+            files=[str(file.relative_to(run.out)) for file in run.files],
+        )  # fmt: skip
+        return result, result.save(options.out)

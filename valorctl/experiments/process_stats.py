@@ -1,0 +1,65 @@
+"""Table 5.1: how much of a core and of memory every process takes while the robot stands."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
+from valor_analysis.results import Measure, Table
+from valorctl.console import bar
+from valorctl.experiments.experiment import Run
+from valorctl.supervision import Supervisor
+
+SECONDS, QUICK = 300.0, 3.0
+PERIOD = 0.5  # between two looks [s]
+_VRC = "valor_ros_controller"
+
+
+def run(run: Run) -> None:
+    """Stand for five minutes, and look at every process twice a second."""
+    seconds = QUICK if run.options.quick else SECONDS
+    with run.system():
+        sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
+        began = time.monotonic()
+        with bar("standing", seconds, "s") as shown:
+            while (elapsed := time.monotonic() - began) < seconds:
+                time.sleep(max(0.0, PERIOD - elapsed % PERIOD))
+                sampler.look()
+                shown(elapsed)
+                run.interruption.check()
+    usage = sampler.usage()
+    run.text = (
+        f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
+        f"system running and the recorder recording all. Each process is looked at every {PERIOD:g} s. Percentages "
+        "are of one core, as top counts."
+    )
+    run.tables.append(
+        Table(
+            "Processor [% of one core] and memory [MiB]",
+            ["process", "mean", "sd", "max", "min", "memory mean", "memory max"],
+            [_row(name, one) for name, one in usage.items()],
+        )
+    )
+    vrc = usage[_VRC]
+    run.measures += [
+        Measure("VRC processor, mean", float(vrc.cpu.mean()), "% of one core", "36 simulation, 53 hardware",
+                "C++ with a thread a task there; one Python loop here, woken by data"),
+        Measure("VRC processor, sd", float(vrc.cpu.std()), "% of one core", "8 simulation, 10 hardware"),
+        Measure("VRC processor, max", float(vrc.cpu.max()), "% of one core", "100 simulation, 113 hardware"),
+        Measure("VRC processor, min", float(vrc.cpu.min()), "% of one core", "13 simulation, 15 hardware"),
+        Measure("VRC memory, mean", float(vrc.memory.mean()), "MiB", "98.3 hardware",
+                "resident; most of it is the interpreter, NumPy and rclpy"),
+        Measure("Motion System processor, mean",
+                float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
+                "over 150", "the Comms Manager's part simulates the robot here"),
+        Measure("whole system, mean", float(np.sum([one.cpu.mean() for one in usage.values()])), "% of one core"),
+    ]  # fmt: skip
+    run.files.append(write_csv(usage, run.out / "process_stats.csv"))
+    run.picture([plot(usage, run.out / "process_stats.png")], "Processor and memory of every process over time.")
+
+
+def _row(name: str, one: Usage) -> list[str]:
+    cpu = (one.cpu.mean(), one.cpu.std(), one.cpu.max(), one.cpu.min())
+    return [name, *(f"{value:.1f}" for value in (*cpu, one.memory.mean(), one.memory.max()))]
