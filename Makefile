@@ -65,6 +65,8 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/ipc.py
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/standing.py
+	$(BIN)/python benchmarks/pathways.py
+	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/walking.py --quick
 
 # Versions and hashes of all that is installed, from the bounds in pyproject.toml.

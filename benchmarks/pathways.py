@@ -47,7 +47,7 @@ RATE = 250.0  # of the floor's messages, as of /joint_states [Hz]
 PATIENCE = 20.0  # [s]
 SETTLING = 5.0  # after `up` [s]
 PAUSE = 0.35  # between two mode changes or commands [s]
-JOINT, CONTROLLER = "l_wrist_roll", "left_arm_traj_controller"
+JOINT, CONTROLLER = "l_wrist_yaw", "left_arm_traj_controller"
 SPEED, SWING = 1.0, 0.2  # of the commanded motion [rad/s], [rad]
 MOVED = 0.005  # a joint that has gone so far moves [rad]
 STAMP = Struct("<q")
@@ -73,6 +73,7 @@ def serve_floor(n: int, size: int) -> None:
     import rclpy
     from rclpy.action import ActionServer
     from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import JointState
     from vigir_humanoid_control_msgs.action import ChangeControlMode
 
@@ -80,7 +81,7 @@ def serve_floor(n: int, size: int) -> None:
         handle.succeed()
         return ChangeControlMode.Result()
 
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM ends it, without a word
     node = rclpy.create_node("floor", enable_rosout=False, start_parameter_services=False)
     server = ActionServer(node, ChangeControlMode, FLOOR_ACTION, execute)
     publisher = node.create_publisher(JointState, FLOOR_STATE, 5)

@@ -5,6 +5,8 @@ A service's ``__main__.py`` is ``run("name", Class)``; its ``service.py`` holds 
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import gc
 import logging
 import math
@@ -166,10 +168,15 @@ class StatisticsPublisher:
 
 
 def quiet_collector() -> None:
-    """Take the garbage collector out of a control loop: what lives now lives on, cycles are collected rarely."""
+    """Take the garbage collector out of a control loop: what lives now lives on, cycles are collected rarely.
+
+    What starting has left free goes back to the kernel: several MiB in a process with rclpy.
+    """
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)
+    with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def run(name: str, make: Callable[[Context], Service]) -> int:

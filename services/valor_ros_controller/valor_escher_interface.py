@@ -132,13 +132,14 @@ class ValorEscherInterface:
             self._heard_proprioceptor = self._clock()
             self._newest_sequence = received.message.sequence
             due = self._take(received.message)
-            if self._in_transition:
+            if self.in_transition:
                 break
         self._listen(self._clock())
         return due
 
     @property
-    def _in_transition(self) -> bool:
+    def in_transition(self) -> bool:
+        """Whether something has been asked for and is not done yet."""
         return self._transition is not None and self._transition.state is TransitionState.PROCESSING
 
     def _take(self, measured: Proprioceptor) -> bool:

@@ -181,7 +181,7 @@ def do(system: Watched, kind: str, *arguments: Any) -> None:
     system.run(4)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.lists(actions, max_size=25))
 def test_no_set_point_ever_jumps(sequence: list[tuple[Any, ...]]) -> None:
     system = Watched()

@@ -17,8 +17,8 @@ from valor_ros_controller.controllers.control_mode_controller import EMERGENCY_S
 
 S = ModeStatus
 STOPPED = (Behavior.SOFT_STOP, Behavior.FREEZE)
-REPORT_TIMEOUT = 60  # of an accepted behavior, in these tests [periods]
-SETTLED = 2 * (PATIENCE + REPORT_TIMEOUT) + 60  # both commands of a pair late, and one more pair that follows [periods]
+REPORT_TIMEOUT = 25  # of an accepted behavior, in these tests [periods]
+SETTLED = 2 * (PATIENCE + REPORT_TIMEOUT) + 30  # both commands of a pair late, and one more pair that follows [periods]
 
 REFUSALS = {
     S.MODE_REJECTED,  # by the Motion Manager
@@ -199,7 +199,7 @@ class ModesAndBehaviors(RuleBasedStateMachine):
             self.all_is_quiet()
 
 
-ModesAndBehaviors.TestCase.settings = settings(max_examples=30, stateful_step_count=25, deadline=None)
+ModesAndBehaviors.TestCase.settings = settings(max_examples=15, stateful_step_count=20, deadline=None)
 TestModesAndBehaviors = ModesAndBehaviors.TestCase
 
 

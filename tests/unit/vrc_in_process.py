@@ -44,8 +44,8 @@ ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODES, CONTROLLERS = ControlModeTable.load(), ControllersTable.load()
 N = len(ROBOT.joints)
 PERIOD = round(1e9 * ROBOT.control_period)
-SILENCE = 25 * PERIOD * 1e-9  # of a process, to the VRC [s]
-PATIENCE = 40  # periods that a call waits for its reply
+SILENCE = 15 * PERIOD * 1e-9  # of a process, to the VRC [s]
+PATIENCE = 22  # periods that a call waits for its reply
 SAG = 0.04  # joints hang so far below what is commanded [rad]
 
 
@@ -55,6 +55,7 @@ class Mailbox:
     def __init__(self) -> None:
         self._newest: Received[Any] | None = None
         self._sequence = 0
+        self.woken = False  # whoever waits for a message
         self.heard: Callable[[Any], None] = lambda message: None
 
     def publish(self, message: Any) -> None:
@@ -66,9 +67,11 @@ class Mailbox:
         newest, self._newest = self._newest, None
         return newest
 
-    def wake(self) -> None: ...
+    def wake(self) -> None:
+        self.woken = True
 
     def receive(self, timeout: float) -> Received[Any] | None:
+        self.woken = False
         return self.latest()
 
 
@@ -314,8 +317,12 @@ class System:
             self.network.topic(topics.MOTION_STATE.name).publish(state)
             if motion.fsm.behavior is not Behavior.FALL:
                 self.position = state.joint_setpoint - SAG
-        answered = self.commander.period(motion.serve if motion else None)
-        if answered or self.sequence % 2 == 0:
+        if self.commander.period(motion.serve if motion else None):
+            self.commander.answered()
+        # As the loop does: at every second Proprioceptor, at every one during a transition, and whenever woken.
+        interface = self.vrc.interface
+        woken = self.network.topic(topics.PROPRIOCEPTOR.name).woken
+        if woken or interface.in_transition or self.sequence % 2 == 0:
             self.vrc.controller.update()
             self.after()
 

@@ -126,7 +126,12 @@ class JointTrajectoryAction:
         request = handle.request
         try:
             multi = request.multi_dof_trajectory
-            if multi.joint_names or multi.points or request.component_path_tolerance:
+            if (
+                multi.joint_names
+                or multi.points
+                or request.component_path_tolerance
+                or request.component_goal_tolerance
+            ):
                 raise InvalidTrajectoryError(
                     ErrorCode.INVALID_GOAL, "joints with several degrees of freedom: this controller has none"
                 )
