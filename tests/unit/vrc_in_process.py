@@ -16,6 +16,7 @@ import numpy as np
 from bifrost import Received
 from motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
+from motion_manager.hand_goals import HandGoals
 from motion_manager.handlers.behavior import BehaviorHandler
 from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from motion_manager.joint_reference import JointReference
@@ -27,6 +28,7 @@ from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
 from valor_common import topics
 from valor_common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
+from valor_common.model import controller_model
 from valor_common.robot import FloatVector, RobotDescription
 from valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor_ros_controller.control_modes import ControlModeTable
@@ -41,6 +43,7 @@ from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterfac
 from valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
+MODEL = controller_model(ROBOT)
 MODES, CONTROLLERS = ControlModeTable.load(), ControllersTable.load()
 N = len(ROBOT.joints)
 PERIOD = round(1e9 * ROBOT.control_period)
@@ -169,7 +172,8 @@ class MotionSystem:
         self.rejections = Rejections()
         self._upper_body = UpperBody(ROBOT, self.reference)
         self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda: "")
-        self._setpoints = JointSetpointsHandler(ROBOT, self.fsm, self._upper_body, self.rejections)
+        hands = HandGoals(MODEL, self.reference, ROBOT.nominal_posture)
+        self._setpoints = JointSetpointsHandler(ROBOT, self.fsm, self._upper_body, hands, self.rejections)
         self._taken_over = time
         self._was = Behavior.IDLE
         self.take_up(position)
