@@ -2,9 +2,9 @@
 
 Prints Markdown tables: the time of a tick, standing over seeds, the largest push survived in each direction with fixed
 feet against the bound of physics m·ω·Δξ (the DCM must stay within reach of the centre of pressure), the largest one
-survived by stepping, walking, and pushes at any phase of a walk.
+survived by stepping, walking, pushes at any phase of a walk, and the ways over dirt, rubble and stairs.
 
-    .venv/bin/python benchmarks/control.py [ticks] [standing] [fixed] [stepping] [walking] [pushed]
+    .venv/bin/python benchmarks/control.py [ticks] [standing] [fixed] [stepping] [walking] [pushed] [courses]
         [--profile hardware] [--seeds 3] [--seconds 60]
 """
 
@@ -23,19 +23,18 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which
 
 import numpy as np
 import pushes
+import walks
 
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor_common.robot import RobotDescription
-
-WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.4, 0, 0), (0.5, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
-WALK_DURATION = 20.0  # [s]
 
 
 def main() -> None:
     """Run what the command line asks for; everything by default."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", help="ticks, standing, fixed, stepping, walking, pushed; default: all")
+    parser.add_argument(
+        "what", nargs="*", help="ticks, standing, fixed, stepping, walking, pushed, courses; default: all"
+    )
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
     parser.add_argument("--seeds", type=int, default=3)
@@ -47,8 +46,9 @@ def main() -> None:
         "standing": lambda: standing(robot, options.profile, options.seeds, options.seconds),
         "fixed": lambda: pushes.fixed(options.robot, options.profile, options.seeds),
         "stepping": lambda: pushes.stepping(options.robot, options.profile, options.seeds),
-        "walking": lambda: walking(robot, options.profile, options.seeds),
+        "walking": lambda: walks.walking(options.robot, options.profile, options.seeds),
         "pushed": lambda: pushes.walking(options.robot, options.profile, options.seeds),
+        "courses": lambda: walks.courses(options.robot, options.profile, options.seeds),
     }
     for name in options.what or parts:
         for line in parts[name]():
@@ -115,48 +115,6 @@ def record(loop: ClosedLoop, seconds: float) -> list[np.ndarray]:
         ),
     )
     return [np.array(column) for column in zip(*rows, strict=True)]
-
-
-def walking(robot: RobotDescription, profile: str, seeds: int) -> Iterator[str]:
-    """Walks from rest and back to rest."""
-    yield f"\n## Walking {WALK_DURATION:.0f} s and stopping, {profile}\n"
-    yield (
-        "| velocity x, y, turn [m/s, rad/s] | seed | way of the pelvis [m] | odometry's error [m] "
-        "| DCM error RMS x, y, z [mm] | smallest knee angle [rad] | torques at their limit | QP failures "
-        "| tick p50, p99 [µs] | fall |"
-    )
-    yield "|---|---|---|---|---|---|---|---|---|---|"
-    for velocity in WALKS:
-        for seed in range(seeds):
-            yield f"| {', '.join(map(str, velocity))} | {seed} | {walk(robot, profile, seed, velocity)} |"
-
-
-def walk(robot: RobotDescription, profile: str, seed: int, velocity: tuple[float, float, float]) -> str:
-    """One walk, as the cells of its row."""
-    loop = ClosedLoop(robot, profile, seed)
-    loop.settle(0.3)
-    loop.run(2.2)
-    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
-    knees = [robot.index["l_knee_pitch"], robot.index["r_knee_pitch"]]
-    before, believed = loop.plant.data.qpos[:3].copy(), loop.state.pelvis_position_in_odom
-    errors, knee, limited, until = [], np.inf, 0, loop.time + WALK_DURATION
-    loop.tick_times.clear()
-    while loop.fall is None and (loop.time < until or loop.controller.stepping):
-        if loop.time < until:
-            source.command(np.array(velocity), loop.time)
-        source.advance(loop.time)
-        loop.step()
-        errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
-        knee = min(knee, float(loop.plant.joint_position[knees].min()))
-        limited += int(np.count_nonzero(np.abs(loop.command.effort) >= 0.999 * robot.effort_limit))
-    x, y, z = np.sqrt(np.mean(np.square(errors), axis=0)) * 1e3
-    way = loop.plant.data.qpos[:3] - before
-    off = float(np.linalg.norm(loop.state.pelvis_position_in_odom - believed - way))
-    p50, p99 = np.percentile(loop.tick_times, (50, 99)) * 1e6
-    return (
-        f"{np.linalg.norm(way[:2]):.2f} | {off:.3f} | {x:.1f}, {y:.1f}, {z:.1f} | {knee:.2f} | {limited} "
-        f"| {loop.command.qp_failures} | {p50:.0f}, {p99:.0f} | {loop.fall or '–'}"
-    )
 
 
 if __name__ == "__main__":
