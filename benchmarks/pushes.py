@@ -22,12 +22,13 @@ from valor_common.robot import RobotDescription
 
 DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 DURATION = 0.1  # [s]
-RESOLUTION = 0.5  # of the bisection with fixed feet [N·s]
-GRID = 5.0  # of the search with steps [N·s]
-MOST = 80.0  # asked for [N·s]
+RESOLUTION = 0.8  # of the bisection with fixed feet [N·s]
+LADDER = (30.0, 35.0, 40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 70.0)  # with steps, until it falls [N·s]
+AT_REST = 0.01  # DCM error of a robot that has got over it [m] …
+SETTLED = 1.5  # … so long after the push, at the earliest [s]
 SPEED = 0.3  # of the walk [m/s]
 PHASES = 16  # of two steps
-IMPULSES = (15.0, 20.0, 25.0)  # while walking [N·s]
+IMPULSES = (15.0, 25.0)  # while walking [N·s]
 T = TypeVar("T")
 P = ParamSpec("P")
 
@@ -71,7 +72,7 @@ def forked(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 def push(
     loop: ClosedLoop, direction: tuple[int, int], impulse: float, seconds: float, walk: VelocitySteps | None = None
 ) -> Outcome:
-    """Push the robot [N·s] and go on until it falls, or for so long; walking all the while if it walks."""
+    """Push the robot [N·s] and go on until it falls, stands at rest, or for so long; walking on if it walks."""
     began, swinging, steps, saturated = loop.time, None, 0, 0
     knees = [loop.robot.index["l_knee_pitch"], loop.robot.index["r_knee_pitch"]]
     knee, errors = np.inf, []
@@ -84,6 +85,8 @@ def push(
         steps += loop.controller.swinging is not None and loop.controller.swinging != swinging
         swinging = loop.controller.swinging
         errors.append((loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
+        if not loop.controller.stepping and loop.time > began + SETTLED and np.hypot(*errors[-1]) < AT_REST:
+            break
         knee = min(knee, float(loop.plant.joint_position[knees].min()))
         saturated += int(np.count_nonzero(np.abs(loop.command.effort) >= 0.999 * loop.robot.effort_limit))
     rms = float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
@@ -128,7 +131,7 @@ def fixed(name: str, profile: str, seeds: int) -> Iterator[str]:
     for towards, direction in DIRECTIONS.items():
         survived, told = [], []
         for loop in loops:
-            low, high = 0.0, 60.0
+            low, high = 0.5 * limits[towards], 1.1 * limits[towards]
             while high - low > RESOLUTION:
                 middle = 0.5 * (low + high)
                 better = forked(push, loop, direction, middle, 4.0).survived
@@ -143,18 +146,18 @@ def fixed(name: str, profile: str, seeds: int) -> Iterator[str]:
 def stepping(name: str, profile: str, seeds: int) -> Iterator[str]:
     """The largest push survived by stepping, up a grid, and how it went."""
     loops = [standing(load_robot(name), profile, seed) for seed in range(seeds)]
-    yield f"\n## Pushes of {DURATION} s at the chest, stepping allowed, in steps of {GRID:.0f} N·s, {profile}\n"
+    yield f"\n## Pushes of {DURATION} s at the chest, stepping allowed, up by 5 N·s until it falls, {profile}\n"
     yield f"| direction | seed | survived [N·s] | {FIGURES} | then |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for towards, direction in DIRECTIONS.items():
         for seed, loop in enumerate(loops):
-            best, impulse = None, 20.0
-            while impulse <= MOST:
-                last = forked(push, loop, direction, impulse, 5.0)
+            best, most, last = None, 0.0, None
+            for impulse in LADDER:
+                last = forked(push, loop, direction, impulse, 6.0)
                 if not last.survived:
                     break
-                best, impulse = last, impulse + GRID
-            yield f"| {towards} | {seed} | {impulse - GRID:.0f} | {figures(best)} | {last.fall or '–'} |"
+                best, most = last, impulse
+            yield f"| {towards} | {seed} | {most:.0f} | {figures(best)} | {last.fall if last and last.fall else '–'} |"
 
 
 def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
@@ -178,14 +181,14 @@ def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
                 continue
             towards, direction = directions[phase % len(directions)]
             for impulse, results in outcomes.items():
-                outcome = forked(push, loop, direction, impulse, 4.0, walk)
+                outcome = forked(push, loop, direction, impulse, 3.0, walk)
                 results.append((f"{towards} ({phase / PHASES:.2f})", outcome))
             phase += 1
         for impulse, results in outcomes.items():
             good = [outcome for _, outcome in results if outcome.survived]
             fell = "; ".join(when for when, outcome in results if not outcome.survived)
             worst = Outcome(
-                None, 4.0, max(o.steps for o in good), max(o.dcm_error for o in good), min(o.knee for o in good),
+                None, 3.0, max(o.steps for o in good), max(o.dcm_error for o in good), min(o.knee for o in good),
                 max(o.saturated for o in good), max(o.failures for o in good),
             ) if good else None  # fmt: skip
             yield f"| {impulse:.0f} | {seed} | {len(good)} of {PHASES} | {figures(worst)} | {fell or '–'} |"

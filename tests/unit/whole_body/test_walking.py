@@ -53,6 +53,20 @@ def test_a_plan_begins_where_it_must_and_obeys_the_dynamics(
     np.testing.assert_allclose(vrp, knots[-1], atol=1e-9 * size)
 
 
+@given(points, points, st.floats(0.0, 0.3))
+def test_a_plan_gives_way_no_further_than_it_may(
+    start: tuple[float, float, float], dcm: tuple[float, float, float], most: float
+) -> None:
+    knots, giving = np.array([start, (0.0, 0.1, 0.9), (0.0, 0.1, 0.9), (0.1, 0.0, 0.9)]), slice(1, 3)
+    plan = DcmPlan(OMEGA, [0.1, 0.5, 1.0], knots, np.array(dcm), giving, most=most)
+    moved = plan.knots - knots
+    np.testing.assert_array_equal(moved[[0, 3]], 0.0)
+    assert np.hypot(*moved[1, :2]) <= most + 1e-12
+    free = DcmPlan(OMEGA, [0.1, 0.5, 1.0], knots, np.array(dcm), giving)
+    if np.hypot(*(free.knots - knots)[1, :2]) <= most:
+        np.testing.assert_array_equal(plan.knots, free.knots)
+
+
 def test_a_plan_is_what_integration_gives() -> None:
     """ξ̇ = ω·(ξ − v) integrated backwards from rest, where it is stable."""
     durations = [0.5, 0.5, 0.6, 0.2, 0.6, 1.0]
