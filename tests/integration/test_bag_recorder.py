@@ -20,8 +20,10 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rclpy.action import ActionServer
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
@@ -29,17 +31,20 @@ from std_msgs.msg import String
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 
 import bifrost
-from bag_recorder.bag import Bag
+from bag_recorder.bag import Bag, RecordedTopic
 from bag_recorder.bifrost_tap import BifrostTap
 from bag_recorder.clock import WallClock
+from bag_recorder.definitions import definition
 from bag_recorder.last_seconds import AFTER_FALL
 from tests.conftest import RunningInstance, wait_until
 from tests.unit.motion_states import motion_state
 from valor_common.bag_recovery import recover
-from valor_common.instance import Recording
+from valor_common.errors import ValorError
+from valor_common.instance import Instance, Recording
 from valor_common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
 from valor_common.service import EXIT_CONFIGURATION
 from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
+from valorctl import bag_player
 
 JOINTS = 38
 SECOND = 1_000_000_000
@@ -495,3 +500,44 @@ def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance)
     client = instance.node().client(SNAP.name, SnapRequest, SnapReply)
     reply = client.call(SnapRequest(), timeout=20.0)
     assert not reply.accepted and "everything is being recorded" in reply.reason
+
+
+def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
+    instance: RunningInstance, ros: Node, tmp_path: Path
+) -> None:
+    bag = Bag(tmp_path / "played.mcap")
+    kept = RecordedTopic("/kept", "std_msgs/msg/String", definition("std_msgs/msg/String"))
+    chatter = RecordedTopic("/chatter", "std_msgs/msg/String", definition("std_msgs/msg/String"), "durability: 1", True)
+    unknown = RecordedTopic("/wand", "magic_msgs/msg/Wand", "bool on\n")
+    for number in (1, 0, 3, 2, 4):  # a recorder writes one topic after the other
+        bag.write(chatter, number * SECOND // 5, 0, number, serialize_message(String(data=str(number))))
+    bag.write(kept, 0, 0, 0, serialize_message(String(data="first")))
+    bag.write(unknown, 1, 0, 0, b"\0\1\0\0\1")
+    bag.close()
+    domain = instance.settings.ros_domain_id
+    quiet = {"rate": 1.0, "topics": (), "check": lambda: None, "tell": lambda passed, messages: None}
+    with pytest.raises(ValorError, match=f"ROS domain {domain} is a running system's"):
+        bag_player.play(bag.path, instance.instance, domain=domain, **quiet)
+
+    heard: list[str] = []
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # found late, it still hears all
+    ros.create_subscription(String, "/chatter", lambda message: heard.append(message.data), latched)
+    elsewhere = Instance("elsewhere", tmp_path)
+    done = []
+    player = threading.Thread(
+        target=lambda: done.append(bag_player.play(bag.path, elsewhere, domain=domain, **quiet)), daemon=True
+    )
+    began = time.monotonic()
+    player.start()
+    executor = SingleThreadedExecutor(context=ros.context)
+    executor.add_node(ros)
+
+    def spun() -> bool:
+        executor.spin_once(timeout_sec=0.05)
+        return len(heard) == 5
+
+    wait_until(spun, 30.0, "all five are heard", 0.0)
+    player.join(20.0)
+    assert done[0].messages == 6 and list(done[0].skipped) == ["/wand"]
+    assert heard == ["0", "1", "2", "3", "4"]
+    assert time.monotonic() - began > 0.8

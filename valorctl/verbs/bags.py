@@ -1,4 +1,4 @@
-"""``bag``: what a recording holds, mending one that was cut short, saving the last seconds."""
+"""``bag``: what a recording holds, mending, saving the last seconds, CSV, playing."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
+from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valorctl.console import rich_console, say, say_json
+from valorctl.console import complain, progress, rich_console, say, say_json
+from valorctl.interruption import Interruption
 
 bag = typer.Typer(name="bag", help="Look into recordings, and mend them.", no_args_is_help=True)
 
@@ -70,3 +72,75 @@ def recover(file: File) -> None:
         say(f"{file}: whole, {found.messages} messages")
     else:
         say(f"{file}: finished, {found.messages} messages kept, {found.bytes_cut} bytes cut")
+
+
+@bag.command()
+def csv(
+    bag_path: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")],
+    out: Annotated[Path | None, typer.Option(help="A new folder; BAG's name with _csv unless given.")] = None,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Write any ROS 2 bag as CSV, one file a topic; of a damaged one what can be saved, and then fail."""
+    from valor_analysis.csv_export import export
+
+    folder = out or bag_path.with_name(f"{bag_path.stem}_csv")
+    with progress() as shown, Interruption() as interruption:
+
+        def tell(messages: int) -> None:
+            interruption.check()
+            shown.waiting(f"{messages} messages")
+
+        made = export(bag_path, folder, topic or (), tell)
+    if json:
+        say_json(
+            {
+                "files": {str(file): rows for file, rows in made.files.items()},
+                "notices": made.notices,
+                "damage": made.condition.damage,
+                "messages": made.condition.messages,
+            }
+        )
+    else:
+        for line in made.notices:
+            say(line)
+        say(f"{folder}: {len(made.files)} topics, {sum(made.files.values())} messages")
+    _fail_if_damaged(bag_path, made.condition.damage, made.condition.messages)
+
+
+@bag.command()
+def play(
+    bag_path: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")],
+    rate: Annotated[float, typer.Option(help="Of the bag's own pace.")] = 1.0,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
+    ] = None,
+    domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain; ROS_DOMAIN_ID unless given.")] = None,
+) -> None:
+    """Publish a bag's messages on ROS topics; never into the domain of a running system."""
+    from valorctl import bag_player
+
+    instance = Instance.from_environment()
+    with progress() as shown, Interruption() as interruption:
+        played = bag_player.play(
+            bag_path,
+            instance,
+            domain=domain,
+            rate=rate,
+            topics=topic or (),
+            check=interruption.check,
+            tell=lambda passed, messages: shown.waiting(f"{passed:.1f} s, {messages} messages"),
+        )
+    for name, reason in played.skipped.items():
+        say(f"left out: {name}: {reason}")
+    say(f"played {played.messages} messages")
+    _fail_if_damaged(bag_path, played.damage, played.messages)
+
+
+def _fail_if_damaged(bag_path: Path, damage: list[str], messages: int) -> None:
+    for line in damage:
+        complain(line)
+    if damage:
+        raise ValorError(f"{bag_path}: damaged; {messages} messages of it could be read")
