@@ -78,6 +78,7 @@ class Walk:
     fell: bool
     reason: str  # of leaving Walk, if it did
     dcm_error: float  # mean distance of the DCM from its reference [m]
+    pause: float  # longest between two velocities, in which the robot begins to stop after 0.5 s [robot time, s]
 
     def describe(self) -> str:
         """One line."""
@@ -157,6 +158,7 @@ class _Run:
         self._errors: list[float] = []
         self._moved = began.time  # when the pelvis moved last
         self._stopped = 0.0  # when it was no more asked to walk
+        self._commanded = self._pause = 0.0  # when it was asked last, and the longest time between [robot time, s]
         self.asking, self.over = True, False
         self.passed = self.way = 0.0
 
@@ -180,6 +182,8 @@ class _Run:
     def command(self) -> VelocityCommand:
         """What to ask for now."""
         order, state = self._order, self._state
+        self._pause = max(self._pause, self.passed - self._commanded)
+        self._commanded = self.passed
         straight = self._line.steer(state) if order.straight else (order.forward, order.left, order.turn)
         x, y, turn = straight
         return VelocityCommand(time=state.time, linear_x=x, linear_y=y, angular_z=turn)
@@ -196,4 +200,5 @@ class _Run:
             fell=state.behavior == "fall",
             reason="" if state.behavior in MODES else f"{state.behavior}: {state.reason}",
             dcm_error=float(np.mean(self._errors)),
+            pause=self._pause,
         )

@@ -142,6 +142,7 @@ def walk(
                 "fell": result.fell,
                 "reason": result.reason or None,
                 "mean_dcm_error_m": result.dcm_error,
+                "longest_pause_s": result.pause,
             }
         )
     if result.reason:
