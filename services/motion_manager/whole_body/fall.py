@@ -9,10 +9,17 @@ is lost when the step after that cannot reach it either (capturability with one 
 
 from __future__ import annotations
 
-from math import acos, degrees, hypot
+from math import acos, degrees
 
 from motion_manager.whole_body.state import FloatArray, RobotState
-from motion_manager.whole_body.support import convex_hull, corners_on_ground, distance_outside, sole_corners
+from motion_manager.whole_body.support import (
+    convex_hull,
+    corners_on_ground,
+    distance_outside,
+    inner_radius,
+    sole_corners,
+    surely_within,
+)
 from valor_common.robot import RobotDescription
 
 
@@ -24,6 +31,7 @@ class FallDetector:
         self._limits = tables.fall
         self._lowest = tables.fall.height * tables.nominal_base_height
         self._corners = sole_corners(tables.feet)
+        self._radius = inner_radius(tables.feet)
         self._outside_since: int | None = None
 
     def reset(self) -> None:
@@ -56,10 +64,8 @@ class FallDetector:
     def _dcm(self, state: RobotState, soles: tuple[FloatArray, FloatArray] | None) -> str | None:
         positions, rotations = soles or (state.sole_positions_in_odom, state.sole_rotations_in_odom)
         x, y, _ = state.dcm_in_odom.tolist()
-        (lx, ly, _), (rx, ry, _) = positions.tolist()
         limit = self._limits.dcm_margin if soles is None else self._limits.dcm_margin_stepping
-        # Within the soles' own radius around the middle it is inside; the hull is needed only beyond.
-        if hypot(x - 0.5 * (lx + rx), y - 0.5 * (ly + ry)) < self._limits.dcm_margin:
+        if surely_within(positions, rotations, self._radius, (x, y), limit):
             self._outside_since = None
             return None
         points = corners_on_ground(self._corners, positions, rotations)

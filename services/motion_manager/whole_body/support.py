@@ -23,6 +23,31 @@ def sole_corners(feet: Feet) -> FloatArray:
     )
 
 
+def inner_radius(feet: Feet) -> float:
+    """Of the largest circles around the soles' origins that are within the soles [m]."""
+    return min(min(-foot.heel, foot.toe, foot.half_width) for foot in (feet.left, feet.right))
+
+
+def surely_within(positions: FloatArray, rotations: FloatArray, radius: float, point: Point, margin: float) -> bool:
+    """Whether a point is at most ``margin`` outside the support polygon, told without the polygon: often, not always.
+
+    Both soles' inner circles, and what is between them, are within the polygon.
+
+    Args:
+        positions: (2, 3) of the soles in odom.
+        rotations: (2, 3, 3) of the soles in odom; a tilted circle is narrower from above.
+        radius: of the inner circles [m].
+        point: in odom [m].
+        margin: [m].
+    """
+    (ax, ay, _), (bx, by, _) = positions.tolist()
+    x, y = point
+    narrow = max(0.0, min(float(rotations[0, 2, 2]), float(rotations[1, 2, 2])))
+    ex, ey, px, py = bx - ax, by - ay, x - ax, y - ay
+    t = min(1.0, max(0.0, (px * ex + py * ey) / max(ex * ex + ey * ey, 1e-12)))
+    return hypot(px - t * ex, py - t * ey) <= margin + radius * narrow
+
+
 def corners_on_ground(corners: FloatArray, positions: FloatArray, rotations: FloatArray) -> list[Point]:
     """Both soles' corners, seen from above: eight points in odom [m].
 

@@ -10,8 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from motion_manager.whole_body import FallDetector, RobotState
-from motion_manager.whole_body.support import Point, convex_hull, corners_on_ground, distance_outside, sole_corners
+from motion_manager.whole_body import FallDetector, RobotState, rotation
+from motion_manager.whole_body.support import (
+    Point,
+    convex_hull,
+    corners_on_ground,
+    distance_outside,
+    inner_radius,
+    sole_corners,
+    surely_within,
+)
 from tests.unit.whole_body.closed_loop import ClosedLoop
 from valor_common.robot import RobotDescription
 
@@ -46,6 +54,30 @@ def test_distance_to_the_hull_is_that_of_a_dense_outline(points: list[Point], po
     edges = [(b - a, np.array(point) - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     inside = all(e[0] * p[1] - e[1] * p[0] > 0.0 for e, p in edges)
     assert inside == (distance < 0.0) or nearest < 1e-9
+
+
+small = st.floats(-0.35, 0.35)
+apart = st.tuples(st.floats(-0.6, 0.6), st.floats(0.0, 0.6), st.floats(-0.2, 0.2))
+
+
+@given(apart, st.tuples(small, small, small), st.tuples(small, small, small), coordinates, st.floats(0.0, 0.1))
+def test_what_is_surely_within_is_within(
+    robot: RobotDescription,
+    left: tuple[float, float, float],
+    turned_left: tuple[float, float, float],
+    turned_right: tuple[float, float, float],
+    point: Point,
+    margin: float,
+) -> None:
+    feet = robot.tables.feet
+    positions = np.array((left, (0.0, 0.0, 0.0)))
+    rotations = np.array([rotation.from_rotation_vector(np.array(turn)) for turn in (turned_left, turned_right)])
+    x, y = 0.6 * point[0], 0.6 * point[1]
+    outside = distance_outside(convex_hull(corners_on_ground(sole_corners(feet), positions, rotations)), x, y)
+    within = surely_within(positions, rotations, inner_radius(feet), (x, y), margin)
+    assert not within or outside <= margin + 1e-9
+    middle = positions.mean(axis=0)
+    assert surely_within(positions, rotations, inner_radius(feet), (middle[0], middle[1]), 0.0)
 
 
 @pytest.fixture(scope="module")
