@@ -49,6 +49,7 @@ SETTLING = 5.0  # after `up` [s]
 PAUSE = 0.35  # between two mode changes or commands [s]
 JOINT, CONTROLLER = "l_wrist_yaw", "left_arm_traj_controller"
 SPEED, SWING = 1.0, 0.2  # of the commanded motion [rad/s], [rad]
+STARTED = 0.001  # a command that has gone so far has begun: what balance adds to it is less [rad]
 MOVED = 0.005  # a joint that has gone so far moves [rad]
 STAMP = Struct("<q")
 MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
@@ -165,6 +166,12 @@ class Ears:
                 return
             self.executor.spin_once(timeout_sec=min(left, 0.05))
 
+    def rest(self, seconds: float) -> None:
+        """Hear what comes while robot time, which a loaded machine slows down, goes on for so long."""
+        self.spin(lambda: bool(self.states), PATIENCE, "/joint_states")
+        end = self.states[-1][0] + round(seconds * 1e9)
+        self.spin(lambda: self.states[-1][0] > end, PATIENCE, f"{seconds:g} s of robot time")
+
     def change(self, client: Any, mode: str) -> tuple[int, int, Any]:
         """Send a goal and wait for its result: (sent, received) [ns] and the result."""
         from vigir_humanoid_control_msgs.action import ChangeControlMode
@@ -267,7 +274,7 @@ def measure_modes(ears: Ears, changes: int) -> tuple[Samples, Samples]:
         ears.spin(told, PATIENCE, f"a report of {mode}")
         accepted.append((received - sent) * 1e-9)
         reported.append((told.at - sent) * 1e-9)
-        ears.spin(lambda: False, PAUSE)
+        ears.rest(PAUSE)
     return accepted, reported
 
 
@@ -289,7 +296,7 @@ def measure_commands(
     to_motor: Samples = []
     to_joint: Samples = []
     for sign in itertools.islice(itertools.cycle((1, -1)), commands):
-        ears.spin(lambda: False, SWING / SPEED + PAUSE)
+        ears.rest(SWING / SPEED + PAUSE)
         setpoints.drain()
         last_motor, last_state = motors.drain()[-1].message, states.drain()[-1].message
         target = list(home)
@@ -298,14 +305,14 @@ def measure_commands(
         message = JointTrajectory(joint_names=names, points=[point])
         sent = time.monotonic_ns()
         ears.command.publish(message)
-        ears.spin(lambda: False, SWING / SPEED)
+        ears.rest(SWING / SPEED)
         first = next((r.stamp for r in setpoints.drain() if _speed(r.message) > 0.1), None)
         motions = [
             (r.stamp, abs(r.message.position[joint] - last_motor.position[joint]))
             for r in motors.drain()
             if r.stamp > sent
         ]
-        started = next((stamp for stamp, distance in motions if distance > 1e-5), None)
+        started = next((stamp for stamp, distance in motions if distance > STARTED), None)
         led = next((stamp for stamp, distance in motions if distance > MOVED), None)
         measured = [
             (r.stamp, abs(r.message.joint_position[joint] - last_state.joint_position[joint])) for r in states.drain()
@@ -409,7 +416,7 @@ def main() -> None:
     )
     for heading in ("pathway", "median", "95 %", "max", "count", "floor", "median / floor", "aim", "thesis"):
         table.add_column(heading, justify="left" if heading == "pathway" else "right")
-    for row in rows:
+    for row in (row for row in rows if row.samples):
         samples = np.array(row.samples) * 1e3
         median = float(np.median(samples))
         floor = ("–", "–") if row.floor is None else (f"{row.floor * 1e3:.2f}", f"{median / row.floor / 1e3:.1f}")
