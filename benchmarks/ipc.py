@@ -63,7 +63,7 @@ def _table(rows: list[latency.Row], title: str) -> list[dict[str, Any]]:
 
 def _latency(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
     names = latency.available(options.transports)
-    slow, slices, rounds = (10.0, 0.3, 2) if options.quick else (options.seconds, 0.8, 4)
+    slow, slices, rounds = (10.0, 0.3, 2) if options.quick else (options.seconds, 0.5, 4)
     plain: list[dict[str, Any]] = []
     threads = [f"{name}{latency.THREADS}" for name in names]
     with latency.pairs([*names, *threads], list(SIZES), folder, dict(os.environ)) as ready:

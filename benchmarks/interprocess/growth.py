@@ -1,4 +1,4 @@
-"""What Bifrost costs as a network grows: subscribers of a topic, topics of a node, nodes that come at once."""
+"""What Bifrost costs as a network grows: subscribers, topics, nodes that come at once; and as nodes come and go."""
 
 from __future__ import annotations
 
@@ -42,17 +42,18 @@ class Crowd:
         """Publishers of the first node."""
         self._publishers += [self._nodes[0].publisher(topic, Proprioceptor) for topic in topics]
 
-    def subscribe_to(self, topics: list[str]) -> None:
+    def subscribe_to(self, topics: list[str], queue: int | None = None) -> None:
         """One subscriber for each topic at every node; a thread takes what comes to any of them."""
-        self._subscribers += [node.subscriber(topic, Proprioceptor) for node in self._nodes for topic in topics]
+        self._subscribers += [
+            node.subscriber(topic, Proprioceptor, queue=queue) for node in self._nodes for topic in topics
+        ]
         self._thread.start()
 
     def _listen(self) -> None:
         index = {subscriber: i for i, subscriber in enumerate(self._subscribers)}
         while not self._stopping:
             for subscriber in bifrost.wait(self._subscribers, timeout=0.1):
-                received = subscriber.latest()
-                if received is not None:
+                for received in subscriber.drain():
                     self._latencies.append(time.monotonic_ns() - received.message.time)
                     self._heard[index[subscriber]] = self._heard.get(index[subscriber], 0) + 1
 
@@ -69,6 +70,22 @@ class Crowd:
     def know(self, names: int) -> bool:
         """Whether every node knows so many."""
         return all(node.discovery.registered and len(node.discovery.records()) >= names for node in self._nodes)
+
+    def lost(self) -> int:
+        """Messages known lost or refused by all subscribers."""
+        return sum(subscriber.drops + subscriber.rejected for subscriber in self._subscribers)
+
+    def come_and_go(self, seconds: float, rate: float) -> int:
+        """Nodes with a publisher and a subscriber each that come and leave at once; returns how many."""
+        count, due, end = 0, time.monotonic(), time.monotonic() + seconds
+        while time.monotonic() < end:
+            with bifrost.Node(f"guest_{os.getpid()}_{count}") as guest:
+                guest.publisher(f"benchmark/guest_{count}", Proprioceptor)
+                guest.subscriber("benchmark/state", Proprioceptor)
+            count += 1
+            due += 1.0 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+        return count
 
     def publish(self, count: int, rate: float, publishers: int) -> list[float]:
         """Publish with the first of the publishers; how long each call took [s]."""
@@ -195,8 +212,43 @@ def _joining(folder: Path, numbers: list[int], daemon: psutil.Process) -> list[d
     return rows
 
 
+def _coming_and_going(folder: Path, seconds: list[int], daemon: psutil.Process) -> list[dict[str, float]]:
+    """24 joins and leaves a second beside a stream of 200 messages a second, all of which must arrive."""
+    print("\nnodes that come and go, 24 a second, beside 200 messages a second to a queue")
+    header = f"{'seconds':>12}{'joined':>10}{'messages':>10}{'lost':>8}"
+    print(f"{header}{'CPU of bifrostd [%]':>21}{'bifrostd grew [MiB]':>21}")
+    rows = []
+    for duration in seconds:
+        with _crowds(folder, 4) as (publisher, listener, *guests):
+            for process in (publisher, listener):
+                process.do("join", "node", 1)
+            publisher.do("publish_on", ["benchmark/state"])
+            listener.do("subscribe_to", ["benchmark/state"], 10_000)
+            deadline = time.monotonic() + _PATIENCE
+            while not listener.do("heard") and time.monotonic() < deadline:
+                publisher.do("publish", 1, 50.0, 1)
+            listener.do("take")
+            cpu, memory = sum(daemon.cpu_times()[:2]), daemon.memory_info().rss
+            publisher.start("publish", 200 * duration, 200.0, 1)
+            for guest in guests:
+                guest.start("come_and_go", float(duration), 24.0 / len(guests))
+            joined = sum(guest.finish() for guest in guests)
+            publisher.finish()
+            time.sleep(0.5)
+            row = {"seconds": duration, "joined": joined}
+            row |= {"messages": len(listener.do("take")), "lost": listener.do("lost")}
+            row |= {"cpu": (sum(daemon.cpu_times()[:2]) - cpu) / duration * 100.0}
+            row |= {"grown": (daemon.memory_info().rss - memory) / 2**20}
+        rows.append(row)
+        print(
+            f"{duration:>12}{joined:>10}{row['messages']:>10}{row['lost']:>8}{row['cpu']:>21.1f}{row['grown']:>21.1f}",
+            flush=True,
+        )
+    return rows
+
+
 def measure(folder: Path, daemon_pid: int, quick: bool) -> dict[str, Any]:
-    """Print three tables; returns them for JSON."""
+    """Print four tables; returns them for JSON."""
     daemon = psutil.Process(daemon_pid)
     few, many, most = ([1, 10], [1, 100], [1, 20]) if quick else ([1, 10, 100], [1, 100, 1000], [1, 10, 100])
     results = {}
