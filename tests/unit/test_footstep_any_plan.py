@@ -65,6 +65,7 @@ def flaw(sole: Sole, other: Sole, height: float, swing: float, transfer: float, 
     spans = [
         (x, -REACH.max_backward, REACH.max_forward),
         (y if sole.foot == Foot.LEFT else -y, REACH.min_width, REACH.max_width),
+        (math.hypot(x, y), 0.0, REACH.max_distance),
         (z, -REACH.max_down, REACH.max_up),
         (math.remainder(sole.yaw - other.yaw, math.tau), -REACH.max_yaw, REACH.max_yaw),
         (math.acos(np.clip(sole.rotation[2, 2], -1.0, 1.0)), 0.0, REACH.max_tilt),

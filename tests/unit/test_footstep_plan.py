@@ -107,7 +107,7 @@ moves = st.builds(
     swing_height=within(0.0, REACH.max_swing_height),
     step_duration=st.just(0.0) | within(REACH.min_swing_duration, REACH.max_swing_duration),
     sway_duration=st.just(0.0) | within(REACH.min_transfer_duration, REACH.max_transfer_duration),
-).filter(apart)
+).filter(lambda move: math.hypot(move.forward, move.width) < REACH.max_distance and apart(move))
 plans = st.builds(
     make_plan, st.lists(moves, min_size=1, max_size=6), st.sampled_from([Foot.LEFT, Foot.RIGHT]), st.just(0)
 )
@@ -171,6 +171,14 @@ def test_a_step_beyond_any_limit_is_refused_and_named(
         convert(make_plan(steps, data.draw(st.sampled_from([Foot.LEFT, Foot.RIGHT]))), LIMITS)
     assert text in str(refused.value)
     assert f"step {at} " in str(refused.value)
+    assert (refused.value.status, refused.value.error) == (S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP)
+
+
+def test_a_long_step_is_not_a_wide_one() -> None:
+    """Within both limits, and yet too far."""
+    across = 0.99 * min(REACH.max_forward, REACH.max_width, REACH.max_distance)
+    with pytest.raises(PlanError, match=r"step 1 \(right\): distance from the other foot 0\.\d+ m") as refused:
+        convert(make_plan([MOVE, replace(MOVE, forward=across, width=across)]), LIMITS)
     assert (refused.value.status, refused.value.error) == (S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP)
 
 

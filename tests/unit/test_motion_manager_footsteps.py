@@ -200,6 +200,15 @@ def test_a_turn_is_that_of_the_headings_however_the_soles_tilt() -> None:
         assert ("turned of the other foot" in bench.send([asked])) == refused
 
 
+def test_a_long_step_is_not_a_wide_one() -> None:
+    limits = ROBOT.tables.footsteps
+    assert limits is not None
+    across = 0.99 * min(limits.max_forward, limits.max_width, limits.max_distance)
+    reason = Bench().send([footstep(0, 0, across, -0.1 + across)])
+    assert reason.startswith("step 0 (left) is 0.")
+    assert f"expected at most {limits.max_distance} m" in reason
+
+
 def test_only_in_step() -> None:
     bench = Bench()
     bench.fsm.go(Behavior.STAND, "test")
