@@ -141,6 +141,7 @@ class Footsteps(Table):
     max_backward: Positive  # [m]
     min_width: Positive  # lateral distance of the soles' origins [m]
     max_width: Positive  # [m]
+    max_distance: Positive  # of the soles' origins, seen from above: a long step is not a wide one [m]
     max_up: Positive  # [m]
     max_down: Positive  # [m]
     max_yaw: Positive  # either way [rad]

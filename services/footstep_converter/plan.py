@@ -308,6 +308,7 @@ def _check_reach(step: PlannedStep, stance: Pose, limits: Limits) -> None:
     turn = math.remainder(sole.yaw - stance.yaw, math.tau)
     _within(name, "forward of the other foot", forward, (-reach.max_backward, reach.max_forward), "m")
     _within(name, "width between the feet", width, (reach.min_width, reach.max_width), "m")
+    _within(name, "distance from the other foot", math.hypot(dx, dy), (0.0, reach.max_distance), "m")
     _within(name, "height above the other foot", dz, (-reach.max_down, reach.max_up), "m")
     _within(name, "turned from the other foot", turn, (-reach.max_yaw, reach.max_yaw), "rad")
     feet = (limits.feet.left, limits.feet.right)

@@ -99,8 +99,8 @@ def apart(move: Move) -> bool:
 
 moves = st.builds(
     Move,
-    forward=within(-REACH.max_backward, REACH.max_forward),
-    width=within(REACH.min_width, REACH.max_width),
+    forward=within(-REACH.max_backward, min(REACH.max_forward, REACH.max_distance)),
+    width=within(REACH.min_width, min(REACH.max_width, REACH.max_distance)),
     up=within(-REACH.max_down, REACH.max_up),
     turn=within(-REACH.max_yaw, REACH.max_yaw),
     pitch=within(-REACH.max_tilt, REACH.max_tilt).map(lambda tilt: 0.99 * tilt),

@@ -24,6 +24,7 @@ from valor_common.robot import RobotDescription
 from valor_common.soles import outline, overlap
 from valor_common.topics import FOOTSTEP_PLAN
 
+ROUNDING = 1e-6  # allowed beyond a limit [m]
 NORM = 1e-3  # most that a quaternion's norm may be off
 TOGETHER = (0.02, 0.05)  # feet so well side by side are together [m, rad]
 
@@ -154,6 +155,12 @@ class FootstepPlanHandler:
         assert self._limits is not None
         if reason := reach_refusal(step, other, self._limits):
             return reason
+        x, y, _ = (step.sole.position - other.position).tolist()
+        if hypot(x, y) > self._limits.max_distance + ROUNDING:
+            return (
+                f"step {step.index} ({FEET[step.foot]}) is {hypot(x, y):.3f} m from the other foot; "
+                f"expected at most {self._limits.max_distance} m"
+            )
         own = outline(step.sole.position, step.sole.rotation, self._feet[step.foot])
         if overlap(own, outline(other.position, other.rotation, self._feet[1 - step.foot])):
             return f"step {step.index} ({FEET[step.foot]}) would stand on the {FEET[1 - step.foot]} foot"
