@@ -57,11 +57,21 @@ def _read(type_name: str) -> str:
                 _goal, _result, feedback = (
                     (folder / f"{base.removesuffix(FEEDBACK)}.action").read_text().split("\n---\n")
                 )
-                return feedback
+                return _qualified(package, feedback)
             return (folder / f"{base}.msg").read_text()
         except (ValueError, IndexError, OSError):
             continue
     raise UnknownTypeError(f"{type_name} is not installed here")
+
+
+def _qualified(package: str, text: str) -> str:
+    """With the package before every type of its own: readers look for a bare name beside the action, not in ``msg``."""
+    lines = []
+    for line in text.splitlines():
+        match = _FIELD.match(line)
+        bare = match is not None and match["type"] not in _PRIMITIVES and "/" not in match["type"]
+        lines.append(f"{package}/{line}" if bare else line)
+    return "\n".join(lines)
 
 
 def _contained(type_name: str, text: str) -> list[str]:

@@ -32,7 +32,7 @@ def standing_robot(name: str, ros_domain_id: int, *others: str) -> Iterator[Runn
     try:
         for process in ("bifrostd", "comms_manager", "motion_manager", *others, VRC):
             running.start(process)
-        running.wait_ready(VRC, PATIENCE)
+        running.wait_ready(VRC, 2 * PATIENCE)
         yield running
     finally:
         running.close()

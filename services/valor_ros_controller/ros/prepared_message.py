@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 _ENCAPSULATION = 4  # bytes before the body; alignment counts from its end
 _MARK = 1e200  # no coordinate
@@ -36,7 +36,7 @@ class PreparedMessage:
         Raises:
             ValueError: a mark is missing or stands twice.
         """
-        raw = serialize_message(message)
+        raw = _serialized(message)
         padded = len(raw) + (-(len(raw) - _ENCAPSULATION)) % 8
         self._bytes = bytearray(raw.ljust(padded, b"\0"))
         self._length = len(raw)
@@ -58,6 +58,21 @@ class PreparedMessage:
         self._words[self._seconds] = stamp.sec
         self._words[self._seconds + 1] = stamp.nanosec
         return bytes(memoryview(self._bytes)[: self._length])
+
+
+def _serialized(message: Any) -> bytes:
+    """The message's own bytes.
+
+    What rclpy returns is as long as the middleware reckons that a message may become, which is too long where
+    sequences are empty; the rest is whatever stood there in memory. Strict readers refuse such a message.
+    """
+    raw = bytes(serialize_message(message))
+    while True:
+        try:
+            deserialize_message(raw[:-1], type(message))
+        except Exception:  # rclpy's own type is not public
+            return raw
+        raw = raw[:-1]
 
 
 def mark(i: int) -> float:
