@@ -7,10 +7,11 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from bifrost import Uint8Array
 from valor_common.messages import MotionState
 
-_EMPTY = {str: "", int: 0, float: 0.0}
-_TYPES = get_type_hints(MotionState)
+_EMPTY = {str: "", int: 0, float: 0.0, Uint8Array: np.zeros(2, np.uint8)}
+_TYPES = get_type_hints(MotionState, include_extras=True)
 
 
 def motion_state(position: tuple[float, float] = (0.0, 0.0), heading: float = 0.0, **fields: Any) -> MotionState:
