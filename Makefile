@@ -45,11 +45,11 @@ $(WHEELS): $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests. Those of real processes run one after another:
+# Everything that must hold: style, types, boundaries, then the tests. Those of the whole robot run one after another:
 # they want the processor to themselves.
 test: $(STAMP) lint
 	@status=0; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance || status=1; \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance tests/bifrost || status=1; \
 	$(BIN)/python -m pytest tests/integration || status=1; \
 	exit $$status
 

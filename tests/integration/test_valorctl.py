@@ -17,8 +17,8 @@ import psutil
 import pytest
 
 import bifrost
+from tests.bifrost.network import mechanism, ports
 from tests.conftest import ROBOTS, wait_until
-from tests.integration.bifrost_network import mechanism, ports
 from valor_common.instance import Instance
 from valor_common.processes import BY_NAME
 from valorctl.status import look

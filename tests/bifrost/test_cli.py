@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import bifrost
 from bifrost.cli import app
-from tests.integration.bifrost_network import (
+from tests.bifrost.network import (
     Answer,
     BifrostNetwork,
     Question,

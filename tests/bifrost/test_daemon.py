@@ -12,7 +12,7 @@ import zmq
 
 import bifrost
 from bifrost import directory
-from tests.integration.bifrost_network import (
+from tests.bifrost.network import (
     Answer,
     BifrostNetwork,
     Question,

@@ -17,7 +17,7 @@ import pytest
 import zmq
 
 import bifrost
-from tests.integration.bifrost_network import (
+from tests.bifrost.network import (
     Answer,
     BifrostNetwork,
     Peer,

@@ -7,7 +7,7 @@ import sys
 import time
 
 import bifrost
-from tests.integration.bifrost_network import Answer, Question, Sample, sample
+from tests.bifrost.network import Answer, Question, Sample, sample
 
 
 def say(content: object) -> None:

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 import bifrost
 from bifrost import wire
 from bifrost.directory import Entry
-from tests.integration.bifrost_network import (
+from tests.bifrost.network import (
     BifrostNetwork,
     Peer,
     Sample,

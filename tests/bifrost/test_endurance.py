@@ -14,7 +14,7 @@ import zmq
 import bifrost
 from bifrost import directory, wire
 from bifrost.directory import Entry, NodeRecord
-from tests.integration.bifrost_network import (
+from tests.bifrost.network import (
     REPOSITORY,
     Answer,
     BifrostNetwork,
@@ -106,7 +106,7 @@ def test_steps_of_the_wall_clock_change_nothing(bare_network: BifrostNetwork) ->
 
     net.log.touch()
     net.daemons[net.network.computer.name] = start("bifrost.daemon")
-    module = "tests.integration.bifrost_peer"
+    module = "tests.bifrost.peer"
     peers = [start(module, "publish", "lab/sample", "200"), start(module, "serve", "lab/ask")]
     try:
         node = net.node("test")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bifrost import Computer
-from tests.integration.bifrost_network import BifrostNetwork
+from tests.bifrost.network import BifrostNetwork
 
 
 @pytest.fixture

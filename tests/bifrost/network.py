@@ -81,7 +81,7 @@ class Peer:
 
     def __init__(self, environment: dict[str, str], *arguments: str, within: Sequence[str] = ()) -> None:
         self.process = subprocess.Popen(
-            [*within, sys.executable, "-m", "tests.integration.bifrost_peer", *arguments],
+            [*within, sys.executable, "-m", "tests.bifrost.peer", *arguments],
             cwd=REPOSITORY,
             env=environment,
             stdout=subprocess.PIPE,

@@ -14,7 +14,7 @@ import zmq
 import bifrost
 from bifrost import wire
 from bifrost.directory import Entry
-from tests.integration.bifrost_network import (
+from tests.bifrost.network import (
     Answer,
     BifrostNetwork,
     Peer,
