@@ -70,6 +70,17 @@ def running(name: str, home: Path, *options: str) -> Iterator[System]:
         system.valorctl("down")
 
 
+def in_executor(executor: Any, function: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
+    """Call a function of an action client in the thread that spins it.
+
+    A client notes what it has sent after sending it: an answer that another thread takes in between is thrown away as
+    unexpected.
+    """
+    answer: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    executor.create_task(lambda: answer.put(function(*arguments, **more)))
+    return answer.get(timeout=30.0)
+
+
 class RosClient:
     """An ordinary ROS 2 node that knows only public names; spins in a thread of its own."""
 
@@ -153,14 +164,8 @@ class RosClient:
         return self._wait(self._call(handle.get_result_async), timeout, f"{name} to end")
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call in the executor's thread.
-
-        An action client notes what it has sent after sending it: an answer that another thread takes in between is
-        thrown away as unexpected.
-        """
-        answer: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._executor.create_task(lambda: answer.put(function(*arguments)))
-        return answer.get(timeout=30.0)
+        """Call in the executor's thread."""
+        return in_executor(self._executor, function, *arguments)
 
     @staticmethod
     def _wait(future: Any, timeout: float, what: str) -> Any:

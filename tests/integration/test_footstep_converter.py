@@ -25,6 +25,7 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutio
 
 import bifrost
 from tests.conftest import RunningInstance, wait_until
+from tests.system import in_executor
 from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
 from valor_common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 
@@ -78,11 +79,13 @@ class ScriptedMotionManager:
             if self.silent:
                 continue
             self._server.serve()
-            if self.step_status is not None:
-                self._status.publish(self.step_status)
+            status = self.step_status
+            if status is not None:
+                self._status.publish(status)
             state = MotionState(
-                time=0, proprioceptor_sequence=0, behavior=self.behavior, locomotion="", manipulation="",
-                attention="", reason=self.reason, pelvis_position_in_odom=three, pelvis_orientation_in_odom=four,
+                time=status.time - 1 if status else 0, proprioceptor_sequence=0, behavior=self.behavior,
+                locomotion="", manipulation="", attention="", reason=self.reason,
+                pelvis_position_in_odom=three, pelvis_orientation_in_odom=four,
                 pelvis_linear_velocity_in_odom=three, pelvis_angular_velocity_in_pelvis=three, com_in_odom=three,
                 dcm_in_odom=three, dcm_reference_in_odom=three, cop_in_odom=np.zeros(2),
                 contacts=np.ones(2, dtype=np.uint8), contact_probability=np.ones(2), pelvis_position_variance=three,
@@ -123,13 +126,18 @@ class Client:
 
     def send(self, plan: StepPlan) -> Goal:
         goal = Goal()
-        future = self._client.send_goal_async(
-            ExecuteStepPlan.Goal(step_plan=plan), feedback_callback=lambda m: goal.feedback.append(m.feedback)
-        )
+        future = in_executor(
+            self._executor, self._client.send_goal_async, ExecuteStepPlan.Goal(step_plan=plan),
+            feedback_callback=lambda m: goal.feedback.append(m.feedback),
+        )  # fmt: skip
         goal.handle = wait_until(future.result, LIMIT, "the goal's response")
         assert goal.handle.accepted
-        goal.handle.get_result_async().add_done_callback(lambda f: setattr(goal, "result", f.result()))
+        ended = in_executor(self._executor, goal.handle.get_result_async)
+        ended.add_done_callback(lambda f: setattr(goal, "result", f.result()))
         return goal
+
+    def cancel(self, goal: Goal) -> None:
+        in_executor(self._executor, goal.handle.cancel_goal_async)
 
     def outcome(self, goal: Goal) -> tuple[int, int, str]:
         """Terminal state, flags and text."""
@@ -270,7 +278,7 @@ def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
     wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
     motion.behavior = "step"
     motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
-    wait_until(lambda: any(f.controller_state == f.ACTIVE for f in goal.feedback), LIMIT, "the plan under way")
+    wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), LIMIT, "the plan under way")
     return goal
 
 
@@ -314,7 +322,7 @@ def test_the_loss_of_the_motion_manager_ends_the_plan(motion: ScriptedMotionMana
 
 def test_a_canceled_plan_stops(motion: ScriptedMotionManager, ros_client: Client) -> None:
     goal = begin(motion, ros_client)
-    goal.handle.cancel_goal_async()
+    ros_client.cancel(goal)
     wait_until(lambda: not motion.requests[-1].steps, LIMIT, "the stop at the Motion Manager")
     assert goal.result is None
     motion.behavior = "stand"

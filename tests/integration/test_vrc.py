@@ -288,7 +288,7 @@ def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
     goal.trajectory.points = [point]
     client = ros._trajectory["right_arm"]
     assert client.wait_for_server(PATIENCE)
-    handle = ros._wait(client.send_goal_async(goal), PATIENCE, "an answer to the goal")
+    handle = ros._wait(ros._call(client.send_goal_async, goal), PATIENCE, "an answer to the goal")
     assert handle.accepted
     return handle
 
@@ -438,7 +438,9 @@ def test_a_trajectory_under_way_is_asked_where_it_will_be(manipulating: RosClien
 
     base = "/trajectory_controllers/right_arm_traj_controller"
     handle = send(manipulating, FORWARD, 4.0)
-    manipulating._wait(handle.cancel_goal_async(), PATIENCE, "the cancellation")  # at rest wherever it is
+    manipulating._wait(
+        manipulating._call(handle.cancel_goal_async), PATIENCE, "the cancellation"
+    )  # at rest wherever it is
     manipulating.follow("right_arm", [(1.5, HOME)])
     handle = send(manipulating, FORWARD, 3.0)
     state = manipulating.joint_state
@@ -457,7 +459,7 @@ def test_a_trajectory_under_way_is_asked_where_it_will_be(manipulating: RosClien
     assert max(fraction) - min(fraction) < 0.05 and 0.1 < np.mean(fraction) < 0.6, fraction
     early = ask(manipulating, QueryTrajectoryState, f"{base}/query_state", time=Time(sec=1))
     assert not early.success and "before the trajectory begins" in early.message
-    manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    manipulating._wait(manipulating._call(handle.get_result_async), PATIENCE, "the end of the goal")
     manipulating.follow("right_arm", [(2.0, HOME)])
 
 
@@ -466,8 +468,8 @@ def test_a_canceled_goal_holds(manipulating: RosClient) -> None:
     handle = send(manipulating, FORWARD, 6.0)
     elbow = "r_shoulder_pitch"
     wait_until(lambda: abs(manipulating.joint_positions()[elbow] - HOME[elbow]) > 0.15, PATIENCE, "the arm to move")
-    manipulating._wait(handle.cancel_goal_async(), PATIENCE, "the cancellation")
-    answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    manipulating._wait(manipulating._call(handle.cancel_goal_async), PATIENCE, "the cancellation")
+    answer = manipulating._wait(manipulating._call(handle.get_result_async), PATIENCE, "the end of the goal")
     assert answer.status == STATUS_CANCELED
     time.sleep(0.5)
     held = manipulating.joint_positions()
@@ -479,7 +481,7 @@ def test_a_canceled_goal_holds(manipulating: RosClient) -> None:
 def test_leaving_the_mode_aborts_the_goal(manipulating: RosClient) -> None:
     handle = send(manipulating, FORWARD, 6.0)
     assert manipulating.change_mode("stand").status == ACCEPTED
-    answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+    answer = manipulating._wait(manipulating._call(handle.get_result_async), PATIENCE, "the end of the goal")
     assert answer.status == STATUS_ABORTED and "control mode stand" in answer.result.error_string
 
 
@@ -525,7 +527,7 @@ def test_a_dead_motion_manager_aborts_goals_by_name_and_its_return_is_followed(
     handle = send(manipulating, FORWARD, 6.0)
     system.kill("motion_manager")
     try:
-        answer = manipulating._wait(handle.get_result_async(), PATIENCE, "the end of the goal")
+        answer = manipulating._wait(manipulating._call(handle.get_result_async), PATIENCE, "the end of the goal")
         assert answer.status == STATUS_ABORTED and "motion_manager is silent" in answer.result.error_string
         assert manipulating.change_mode("stand").status == REJECTED | NOT_READY
     finally:
