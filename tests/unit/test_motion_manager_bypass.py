@@ -45,8 +45,8 @@ def goal(robot: Robot, position: object, **changes: object) -> HandGoal:
     return HandGoal(**(values | changes))  # type: ignore[arg-type]
 
 
-def lead(robot: Robot, message: HandGoal) -> bool:
-    return robot.manager.hand_goal_handler.handle(Received(message, 0, 1, "somebody"), robot.time)
+def lead(robot: Robot, message: HandGoal, origin: str = "somebody") -> bool:
+    return robot.manager.hand_goal_handler.handle(Received(message, 0, 1, origin), robot.time)
 
 
 def refusal(robot: Robot) -> str:
@@ -120,9 +120,10 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
     ],
 )
 def test_a_bad_goal_is_refused_and_nothing_moves(refusing: Robot, changes: dict[str, object], reason: str) -> None:
-    refusing.run(0.3)  # a refusal of the same kind is not told sooner
     before = refusing.manager._reference.position.copy()
-    assert not lead(refusing, goal(refusing, **({"position": np.array((0.4, -0.3, 0.2))} | changes)))
+    assert not lead(
+        refusing, goal(refusing, **({"position": np.array((0.4, -0.3, 0.2))} | changes)), reason
+    )  # told once an origin
     assert reason in refusal(refusing)
     refusing.run(0.1)
     np.testing.assert_array_equal(refusing.manager._reference.position, before)
@@ -152,9 +153,8 @@ def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> 
     ],
 )
 def test_bad_gains_are_refused(refusing: Robot, names: list[str], stiffness: tuple[float, ...], reason: str) -> None:
-    refusing.run(0.3)
     message = JointGains(names, np.array(stiffness), np.ones(len(names)))
-    assert not refusing.manager.tuning_handler.handle_gains(Received(message, 0, 1, "somebody"))
+    assert not refusing.manager.tuning_handler.handle_gains(Received(message, 0, 1, reason))  # told once an origin
     assert reason in refusal(refusing)
 
 
