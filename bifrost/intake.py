@@ -287,7 +287,8 @@ class Reservoir:
         self._depth = depth
         self._held: deque[Checked] = deque()
         self._lock = threading.Lock()
-        self._filled = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable while anything is held
+        self._filled = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable while anything is held, or nudged
+        self._nudged = False
         self._poll = select.poll()
         self._poll.register(self._filled, select.POLLIN)
         self._closing = False
@@ -314,16 +315,23 @@ class Reservoir:
     def now(self) -> Checked | None:
         """The oldest message held, if any."""
         with self._lock:
-            if not self._held:
-                return None
-            checked = self._held.popleft()
-            if not self._held:
+            checked = self._held.popleft() if self._held else None
+            if not self._held and (checked is not None or self._nudged):
+                self._nudged = False
                 os.eventfd_read(self._filled)
             return checked
 
+    def wake(self) -> None:
+        """Make ``within`` return, if it waits. From any thread."""
+        with self._lock:
+            if not (self._closing or self._nudged):
+                self._nudged = True
+                os.eventfd_write(self._filled, 1)
+
     def close(self) -> None:
         """End the thread and close the socket. It must be woken by whoever calls."""
-        self._closing = True
+        with self._lock:
+            self._closing = True
         self._thread.join()
         os.close(self._filled)
 

@@ -134,7 +134,10 @@ class Subscriber(Generic[M]):
     def wake(self) -> None:
         """Make ``receive`` return now, if it waits, and else perhaps the next one. From any thread."""
         self._woken = True
-        self._node.discovery.wake(self.topic)
+        if self._reservoir is not None:
+            self._reservoir.wake()
+        else:
+            self._node.discovery.wake(self.topic)
 
     def drain(self) -> list[Received[M]]:
         """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks."""

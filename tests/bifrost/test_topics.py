@@ -9,7 +9,7 @@ import socket as sockets
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -228,20 +228,32 @@ def test_wait_tells_who_has_something(net: BifrostNetwork) -> None:
     assert bifrost.wait(subscribers, timeout=0.0) == []
 
 
-def test_a_wait_is_ended_from_another_thread_and_no_message_is_lost_by_it(net: BifrostNetwork) -> None:
+@pytest.mark.parametrize(("queue", "drop"), [(None, "newest"), (10, "newest"), (10, "oldest")])
+def test_a_wait_is_ended_from_another_thread_and_no_message_is_lost_by_it(
+    net: BifrostNetwork, queue: int | None, drop: Literal["newest", "oldest"]
+) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
-    subscriber = net.node("subscriber").subscriber("lab/sample", Sample)
+    subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue, drop)
     connected(publisher, subscriber)
     subscriber.receive(timeout=0.0)
-    waker = threading.Timer(0.1, subscriber.wake)
-    waker.start()
-    before = time.monotonic()
-    assert subscriber.receive(timeout=20.0) is None
-    assert time.monotonic() - before < 10.0
-    waker.join()
+    for count in range(3):
+        waker = threading.Timer(0.1, subscriber.wake)
+        waker.start()
+        before = time.monotonic()
+        assert subscriber.receive(timeout=20.0) is None
+        assert time.monotonic() - before < 10.0
+        waker.join()
+        publisher.publish(sample(count))
+        received = subscriber.receive(timeout=5.0)
+        assert received is not None and received.message.count == count
+    # Woken while a message waits: either comes first, and neither keeps the next message from being heard.
     publisher.publish(sample(7))
-    received = subscriber.receive(timeout=5.0)
-    assert received is not None and received.message.count == 7
+    assert bifrost.wait([subscriber], timeout=5.0) == [subscriber]
+    subscriber.wake()
+    until(lambda: (heard := subscriber.receive(timeout=5.0)) is not None and heard.message.count == 7, "the message")
+    publisher.publish(sample(8))
+    until(lambda: (heard := subscriber.receive(timeout=5.0)) is not None and heard.message.count == 8, "the message")
+    assert (subscriber.drops, subscriber.rejected) == (0, 0)
 
 
 def test_the_descriptor_serves_an_event_loop(net: BifrostNetwork) -> None:
