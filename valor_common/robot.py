@@ -111,6 +111,15 @@ class SensorNoise(Table):
     torque: NonNegative = 0.0  # [N·m]
 
 
+class Gear(Table):
+    """A joint's motor and gear, where they are not as the profile says of all joints."""
+
+    friction: NonNegative | None = None  # Coulomb, at the joint [N·m]; absent: the profile's
+    backlash: NonNegative | None = None  # peak to peak [rad]; absent: the profile's
+    feed_forward: bool = True  # whether the device takes Motor's effort; if not, nothing carries the links' weight
+    strength: Annotated[float, Field(ge=0, le=1)] = 1.0  # share of the motor's torque that reaches the joint
+
+
 class ActuatorProfile(Table):
     """How far the simulated plant is from the controller's model."""
 
@@ -120,6 +129,7 @@ class ActuatorProfile(Table):
     torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
     delay: NonNegative = 0.0  # of commands [s]
     backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
+    gears: dict[str, Gear] = {}  # of joints and groups of joints; a joint's own goes before its group's
     noise: SensorNoise = SensorNoise()
 
 
@@ -368,6 +378,9 @@ class RobotTables(Table):
                 raise ValueError(f"groups.{group}: unknown joints {sorted(missing)}")
         if missing := set(self.nominal_posture) - known:
             raise ValueError(f"nominal_posture: unknown joints {sorted(missing)}")
+        for profile, actuators in self.actuators.items():
+            if missing := set(actuators.gears) - known - set(self.groups):
+                raise ValueError(f"actuators.{profile}.gears: neither joints nor groups: {sorted(missing)}")
         for preset, sides in self.arm_presets.items():
             for side, posture in sides.items():
                 if missing := set(posture) - set(self.groups[f"{side}_arm"]):

@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from comms_manager.gears import Gears
 from comms_manager.simulation.actuators import Actuators
 from valor_common.messages import JointMode, Motor
-from valor_common.robot import ActuatorProfile, RobotDescription
+from valor_common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 N = len(ROBOT.joints)
@@ -146,6 +147,41 @@ def test_backlash_is_a_dead_zone_of_its_full_width() -> None:
     shoulder = ROBOT.index["l_shoulder_pitch"]
     for error, expected in ((0.0009, 0.0), (-0.0009, 0.0), (0.003, 0.02), (-0.003, -0.02)):
         assert effort(command, REST - error, REST, profile)[shoulder] == pytest.approx(expected)
+
+
+def test_a_joints_gear_goes_before_its_groups_and_that_before_the_profile() -> None:
+    gears = Gears.of(
+        ROBOT,
+        ActuatorProfile(
+            friction=2.0,
+            backlash=0.001,
+            gears={
+                "right_arm": Gear(backlash=0.04, feed_forward=False),
+                "r_wrist_yaw": Gear(friction=6.0, strength=0.5),
+            },
+        ),
+    )
+    rows = ("l_knee_pitch", "r_elbow_pitch", "r_wrist_yaw")
+    found = [
+        [float(vector[ROBOT.index[joint]]) for vector in
+         (gears.friction, gears.half_backlash, gears.feed_forward, gears.strength)]
+        for joint in rows
+    ]  # fmt: skip
+    assert found == [[2.0, 0.0005, 1.0, 1.0], [1.2, 0.02, 0.0, 1.0], [6.0, 0.0005, 1.0, 0.5]]
+
+
+def test_gears_without_feed_forward_go_by_position_alone_and_weak_motors_give_their_share() -> None:
+    profile = ActuatorProfile(gears={"l_elbow_pitch": Gear(feed_forward=False), "r_wrist_yaw": Gear(strength=0.1)})
+    result = effort(motor(JointMode.IMPEDANCE, position=0.1, effort=5.0, stiffness=10.0), REST, REST, profile)
+    shoulder, elbow, wrist = (ROBOT.index[name] for name in ("l_shoulder_pitch", "l_elbow_pitch", "r_wrist_yaw"))
+    assert (result[shoulder], result[elbow], result[wrist]) == pytest.approx((6.0, 1.0, 0.6))
+
+
+def test_gears_of_unknown_joints_are_refused() -> None:
+    tables = ROBOT.tables.model_dump()
+    tables["actuators"]["ideal"]["gears"] = {"r_tail": {}}
+    with pytest.raises(ValueError, match=r"actuators.ideal.gears: neither joints nor groups: \['r_tail'\]"):
+        RobotTables.model_validate(tables)
 
 
 def test_holding_keeps_the_joints_where_they_are() -> None:

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from comms_manager.gears import Gears
 from comms_manager.simulation.plant import Plant, SimulationDivergedError, scene
 from comms_manager.simulation.sensors import Sensors
 from valor_common.errors import ConfigurationError
@@ -77,6 +78,42 @@ def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_t
     np.testing.assert_array_equal(friction, expected)
     assert friction[ROBOT.index["l_knee_pitch"]] == profile.friction
     assert friction[ROBOT.index["l_thumb_roll"]] < 0.1
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_stretched_hdt_arms_have_seven_centimetres_of_play_at_the_gripper(side: str) -> None:
+    data, arm = mujoco.MjData(NOMINAL.mj), ROBOT.group_indices(f"{side}_arm")
+    posture = ROBOT.nominal_posture.copy()
+    posture[arm] = 0.0
+    posture[ROBOT.index[f"{side[0]}_shoulder_pitch"]] = -0.5 * np.pi  # forearms are forward in the zero pose
+    posture[ROBOT.index[f"{side[0]}_elbow_pitch"]] = 0.5 * np.pi
+    data.qpos[3], data.qpos[NOMINAL.qpos] = 1.0, posture
+    mujoco.mj_forward(NOMINAL.mj, data)
+    jacobian = np.zeros((3, NOMINAL.mj.nv))
+    mujoco.mj_jacSite(NOMINAL.mj, data, jacobian, None, NOMINAL.site(f"{side[0]}_gripper"))
+    vertical = np.abs(jacobian[2, NOMINAL.dof][arm])
+    play = 2.0 * Gears.of(ROBOT, ROBOT.tables.actuators["hdt_arms"]).half_backlash[arm]
+    assert vertical @ play == pytest.approx(0.07, abs=0.004)
+
+
+def test_the_hdt_arms_sag_and_the_sick_wrist_stays() -> None:
+    wrist, elbow = ROBOT.index["r_wrist_yaw"], ROBOT.index["r_elbow_pitch"]
+    robot = plant("drc_finals")
+    zero = np.zeros(N)
+    servo = {"stiffness": ROBOT.servo_stiffness, "damping": ROBOT.servo_damping}
+    target = ROBOT.nominal_posture.copy()
+    target[wrist] += 0.5
+    modes = np.full(N, JointMode.IMPEDANCE, dtype=np.uint8)
+    weight = np.zeros(N)  # what would carry the arm, and is not taken
+    weight[ROBOT.group_indices("right_arm")] = robot.data.qfrc_bias[robot.model.dof][ROBOT.group_indices("right_arm")]
+    robot.actuators.obey(
+        Motor(time=0, sequence=1, proprioceptor_sequence=1, mode=modes, position=target, velocity=zero,
+              effort=weight, **servo)
+    )  # fmt: skip
+    robot.step(1500)
+    moved = robot.joint_position - ROBOT.nominal_posture
+    assert abs(moved[wrist]) < 0.02
+    assert 0.02 < abs(moved[elbow]) < 0.06  # half the backlash, and what the servo gives way to the forearm's weight
 
 
 def test_the_ideal_plant_is_the_controllers_model() -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from comms_manager.gears import Gears
 from valor_common.messages import JointMode, Motor
 from valor_common.robot import ActuatorProfile, RobotDescription
 
@@ -33,8 +34,10 @@ class Actuators:
     Commands act after the profile's delay. Then, each step::
 
         e = backlash(q* − q)                      dead zone
-        u = effort + kp·e + kd·(q̇* − q̇)          gains by mode: none, servo, commanded, commanded damping
+        u = effort + kp·e + kd·(q̇* − q̇)          gains by mode: none, servo, commanded, commanded damping;
+                                                  no effort where the device does not take any
         u = clip(u, ±effort limit), and none that speeds a joint up beyond its velocity limit
+        u ← strength·u                            a motor that is not what it was
         τ ← τ + (1 − exp(−dt/T))·(u − τ)          first-order lag of time constant T
 
     Coulomb friction belongs to the plant, where MuJoCo solves for it.
@@ -48,7 +51,10 @@ class Actuators:
         n = len(robot.joints)
         self._robot = robot
         self._delay = round(profile.delay / step)
-        self._half_backlash = 0.5 * profile.backlash
+        gears = Gears.of(robot, profile)
+        self._half_backlash, self._has_backlash = gears.half_backlash, bool(gears.half_backlash.any())
+        self._feed_forward = gears.feed_forward
+        self._strength, self._is_weak = gears.strength, bool((gears.strength < 1.0).any())
         self._gain = 1.0 - math.exp(-step / profile.torque_lag) if profile.torque_lag > 0 else 1.0
         self._highest, self._lowest = robot.effort_limit, -robot.effort_limit
         self._velocity_limit = robot.velocity_limit
@@ -75,14 +81,15 @@ class Actuators:
             self._own_stiffness = position * self._robot.servo_stiffness
             self._own_damping = position * self._robot.servo_damping
             self._compliant, self._damped = impedance, impedance + force
-            self._tracking, self._on = position + impedance, position + impedance + force
+            self._tracking = position + impedance
+            self._driven = (position + impedance + force) * self._feed_forward
         position = np.maximum(motor.position, self._robot.lower)
         self._send(
             JointCommand(
                 sequence=motor.sequence,
                 position=np.minimum(position, self._robot.upper, out=position),
                 velocity=motor.velocity * self._tracking,
-                effort=motor.effort * self._on,
+                effort=motor.effort * self._driven,
                 stiffness=self._own_stiffness + self._compliant * motor.stiffness,
                 damping=self._own_damping + self._damped * motor.damping,
             )
@@ -103,7 +110,7 @@ class Actuators:
         self._step += 1
         command, error, wanted = self._command, self._error, self._wanted
         np.subtract(command.position, position, out=error)
-        if self._half_backlash:
+        if self._has_backlash:
             error -= np.clip(error, -self._half_backlash, self._half_backlash)
         np.multiply(command.stiffness, error, out=wanted)
         np.subtract(command.velocity, velocity, out=error)
@@ -115,6 +122,8 @@ class Actuators:
         np.abs(velocity, out=error)
         if (error > self._velocity_limit).any():
             wanted[(error > self._velocity_limit) & (wanted * velocity > 0)] = 0.0
+        if self._is_weak:
+            wanted *= self._strength
         wanted -= self.effort
         wanted *= self._gain
         self.effort += wanted

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from comms_manager.gears import Gears
 from comms_manager.simulation.actuators import Actuators
 from valor_common import worlds
 from valor_common.errors import ConfigurationError, ValorError
@@ -15,6 +16,9 @@ from valor_common.model import Model, Shapes, robot_spec
 from valor_common.robot import RobotDescription
 
 FloatVector = npt.NDArray[np.float64]
+
+
+_HARD = 0.9999  # impedance of friction that holds: such a joint creeps a thousandth as fast
 
 
 class SimulationDivergedError(ValorError):
@@ -52,7 +56,10 @@ class Plant:
         self.model = Model(robot, scene(robot, world, seed, "collision").compile())
         mj = self.model.mj
         self._scale_masses(table.mass_error, np.random.default_rng([seed, 0]))
-        mj.dof_frictionloss[self.model.dof] = np.minimum(table.friction, table.friction_share * robot.effort_limit)
+        gears = Gears.of(robot, table)
+        mj.dof_frictionloss[self.model.dof] = gears.friction
+        # MuJoCo's friction is soft: a light joint under load creeps by a tenth of a radian a second.
+        mj.dof_solimp[np.arange(mj.nv)[self.model.dof][gears.sticks], :2] = _HARD
         # A plant that diverges must be seen, not put back on its feet.
         mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # One robot is one island, and each contact moves few of its joints: a fifth off the time of a step.
