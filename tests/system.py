@@ -114,7 +114,7 @@ class RosClient:
         )
         self._trajectory = {
             name: ActionClient(self.node, FollowJointTrajectory, TRAJECTORY_ACTION.format(name))
-            for name in ("left_arm", "right_arm", "neck", "right_hand", "left_leg", "pelvis")
+            for name in ("left_arm", "right_arm", "neck", "left_hand", "right_hand", "left_leg", "pelvis")
         }
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)

@@ -338,6 +338,10 @@ class Estimator(Table):
     contact_off: Positive = 0.04  # until here
 
 
+Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
+"""Name of a posture → side → joint → position."""
+
+
 class RobotTables(Table):
     """robot.yaml as a whole."""
 
@@ -355,7 +359,8 @@ class RobotTables(Table):
     groups: dict[str, list[str]]  # left_leg, right_leg, torso, left_arm, right_arm, neck, left_hand, right_hand, …
     nominal_posture: dict[str, float]  # [rad]; joints not named: 0
     nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
-    arm_presets: dict[str, dict[Literal["left", "right"], dict[str, float]]]
+    arm_presets: Presets  # [rad]
+    hand_presets: Presets = {}  # [rad]
     actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
     fall: FallDetection
     footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
@@ -381,10 +386,12 @@ class RobotTables(Table):
         for profile, actuators in self.actuators.items():
             if missing := set(actuators.gears) - known - set(self.groups):
                 raise ValueError(f"actuators.{profile}.gears: neither joints nor groups: {sorted(missing)}")
-        for preset, sides in self.arm_presets.items():
-            for side, posture in sides.items():
-                if missing := set(posture) - set(self.groups[f"{side}_arm"]):
-                    raise ValueError(f"arm_presets.{preset}.{side}: not joints of the {side} arm: {sorted(missing)}")
+        for limb, presets in (("arm", self.arm_presets), ("hand", self.hand_presets)):
+            for preset, sides in presets.items():
+                for side, posture in sides.items():
+                    if missing := set(posture) - set(self.groups[f"{side}_{limb}"]):
+                        where = f"{limb}_presets.{preset}.{side}"
+                        raise ValueError(f"{where}: not joints of the {side} {limb}: {sorted(missing)}")
         return self
 
 

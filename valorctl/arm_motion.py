@@ -1,4 +1,4 @@
-"""Arm motions: from a preset of robot.yaml to a trajectory, and whether the arm got there."""
+"""Motions of arms and hands: from a preset of robot.yaml to a trajectory, and whether the limb got there."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from valor_common.topics import PROPRIOCEPTOR
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
+Limb = Literal["arm", "hand"]
 
 SHORTEST = 1.0  # [s]
 # A quintic from rest to rest is at its middle 15/8 as fast as on average.
@@ -26,7 +27,7 @@ _SETTLE_TIMEOUT = 2.0  # [s]
 
 
 @dataclass(frozen=True)
-class ArmMotion:
+class LimbMotion:
     """What became of a motion."""
 
     duration: float  # of the trajectory [robot time, s]
@@ -44,16 +45,17 @@ class ArmMotion:
         return f"largest joint error {self.worst_error:+.4f} rad at {self.worst_joint} (limit {self.tolerance:g} rad)"
 
 
-def preset(robot: RobotDescription, side: Side, name: str) -> dict[str, float]:
+def preset(robot: RobotDescription, side: Side, limb: Limb, name: str) -> dict[str, float]:
     """Joint positions of a preset [rad].
 
     Raises:
-        ValorError: no such preset for that arm; lists the known.
+        ValorError: no such preset for that limb; lists the known.
     """
-    known = sorted(each for each, sides in robot.tables.arm_presets.items() if side in sides)
+    presets = {"arm": robot.tables.arm_presets, "hand": robot.tables.hand_presets}[limb]
+    known = sorted(each for each, sides in presets.items() if side in sides)
     if name not in known:
-        raise ValorError(f"preset {name!r}: {robot.name} knows for its {side} arm: {', '.join(known) or 'none'}")
-    return dict(robot.tables.arm_presets[name][side])
+        raise ValorError(f"preset {name!r}: {robot.name} knows for its {side} {limb}: {', '.join(known) or 'none'}")
+    return dict(presets[name][side])
 
 
 def trajectory_duration(
@@ -66,20 +68,22 @@ def trajectory_duration(
     return max(SHORTEST, slowest)
 
 
-def move_arm(
+def move_limb(
     instance: Instance,
     side: Side,
+    limb: Limb,
     name: str,
     *,
     speed: float,
     tolerance: float,
     check: Callable[[], None] = lambda: None,
-) -> ArmMotion:
-    """Move an arm to a preset by way of the VRC's trajectory controller, and measure where it came to rest.
+) -> LimbMotion:
+    """Move an arm or a hand to a preset by way of the VRC's trajectory controller, and measure where it came to rest.
 
     Args:
         instance: must be up.
         side: left or right.
+        limb: arm or hand.
         name: of the preset.
         speed: fraction of the joint speed limits, at most 1.
         tolerance: for the final error of each joint [rad].
@@ -90,17 +94,17 @@ def move_arm(
     """  # fmt: skip
     settings = instance.settings()
     robot = RobotDescription.load(settings.robot)
-    wanted = preset(robot, side, name)
+    wanted = preset(robot, side, limb, name)
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
         measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
         start = _positions(robot, measured)
-        # The controller wants all joints of the arm; those that the preset leaves out stay.
-        goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.groups[f"{side}_arm"]}
+        # The controller wants all joints of the limb; those that the preset leaves out stay.
+        goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.groups[f"{side}_{limb}"]}
         duration = trajectory_duration(robot, start, goal, speed)
-        follow(instance, f"{side}_arm", goal, duration, check)
+        follow(instance, f"{side}_{limb}", goal, duration, check)
         worst, error = _final_error(robot, measured, goal, tolerance, check)
-    return ArmMotion(duration, worst, error, tolerance)
+    return LimbMotion(duration, worst, error, tolerance)
 
 
 def follow(

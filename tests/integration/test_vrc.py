@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -293,12 +293,17 @@ def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
     return handle
 
 
-def test_a_hand_closes_and_opens(manipulating: RosClient) -> None:
-    closed = {"r_index_yaw": 0.6, "r_ring_yaw": 0.6, "r_thumb_roll": 0.3, "r_thumb_pitch": 0.4}
-    for target in (closed, dict.fromkeys(closed, 0.0)):
-        answer = manipulating.follow("right_hand", [(1.0, target)])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_hand_closes_and_opens(manipulating: RosClient, side: Literal["left", "right"]) -> None:
+    other = ROBOT.tables.hand_presets["open"]["right" if side == "left" else "left"]
+    before = manipulating.joint_positions()
+    for preset in ("close", "open"):
+        target = ROBOT.tables.hand_presets[preset][side]
+        answer = manipulating.follow(f"{side}_hand", [(1.0, target)])
         assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
-        wait_until(lambda t=target: max(errors(manipulating, t).values()) < 0.05, PATIENCE, "the hand")
+        wait_until(lambda t=target: max(errors(manipulating, t).values()) < 0.05, PATIENCE, f"the hand to {preset}")
+        after = manipulating.joint_positions()
+        assert max(abs(after[joint] - before[joint]) for joint in other) < 0.05, "the other hand moved"
 
 
 def test_legs_take_no_goals_and_say_so_but_report_their_state(manipulating: RosClient) -> None:

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -228,12 +229,14 @@ def test_arm_presets_touch_nothing(preset: str, sides: tuple[str, ...]) -> None:
     assert touching(FULL, forward(FULL, with_preset(preset, *sides))) == set()
 
 
-def test_arm_presets_are_complete_within_limits_and_mirrored() -> None:
-    assert {"home", "forward", "side", "up", "fold"} <= set(ROBOT.tables.arm_presets)
-    for preset, sides in ROBOT.tables.arm_presets.items():
+@pytest.mark.parametrize("limb", ["arm", "hand"])
+def test_presets_are_complete_within_limits_and_mirrored(limb: str) -> None:
+    presets = {"arm": ROBOT.tables.arm_presets, "hand": ROBOT.tables.hand_presets}[limb]
+    assert {"arm": {"home", "forward", "side", "up", "fold"}, "hand": {"open", "close"}}[limb] <= set(presets)
+    for preset, sides in presets.items():
         assert set(sides) == {"left", "right"}
         for side, posture in sides.items():
-            assert list(posture) == ROBOT.tables.groups[f"{side}_arm"]
+            assert list(posture) == ROBOT.tables.groups[f"{side}_{limb}"]
             for name, angle in posture.items():
                 joint = ROBOT.tables.joints[name]
                 assert joint.lower is not None
@@ -242,6 +245,26 @@ def test_arm_presets_are_complete_within_limits_and_mirrored() -> None:
         for name, angle in sides["left"].items():
             mirrored = -angle if name.endswith(LATERAL) else angle
             assert sides["right"]["r_" + name[2:]] == mirrored
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_hand_closes_towards_its_palm(side: Literal["left", "right"]) -> None:
+    s = side[0]
+
+    def fingers(preset: str) -> dict[str, Vector]:
+        """Where the fingers are in the hand's frame, from the gripper site."""
+        data = forward(FULL, configuration(FULL, **ROBOT.tables.hand_presets[preset][side]))
+        hand = data.body(f"{s}_hand")
+        site = data.site(f"{s}_gripper").xpos
+        axes = hand.xmat.reshape(3, 3)
+        return {name: axes.T @ (data.body(f"{s}_{name}").xipos - site) for name in ("index", "ring", "thumb")}
+
+    opened, closed = fingers("open"), fingers("close")
+    inward = -1.0 if side == "left" else 1.0  # of y: the palm faces the other hand
+    for name in ("index", "ring"):
+        assert inward * (closed[name][1] - opened[name][1]) > 0.03, name
+    for name in ("index", "ring", "thumb"):
+        assert np.linalg.norm(closed[name][:2]) < np.linalg.norm(opened[name][:2]), name
 
 
 def test_the_arm_cannot_pass_through_the_chest() -> None:

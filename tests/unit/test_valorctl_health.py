@@ -9,7 +9,7 @@ import pytest
 from valor_common.errors import ValorError
 from valor_common.resources import robot_folder
 from valor_common.robot import RobotDescription
-from valorctl.arm_motion import SIDES, preset, trajectory_duration
+from valorctl.arm_motion import SIDES, Limb, preset, trajectory_duration
 from valorctl.health import SILENCE, START_GRACE, Word, judge
 from valorctl.supervision import ProcessInfo, ProcessState, count_restarts
 
@@ -70,13 +70,15 @@ def escher() -> RobotDescription:
     return RobotDescription.load(robot_folder("escher"))
 
 
-def test_presets_are_known_by_name(escher: RobotDescription) -> None:
-    for name, sides in escher.tables.arm_presets.items():
+@pytest.mark.parametrize("limb", ["arm", "hand"])
+def test_presets_are_known_by_name(escher: RobotDescription, limb: Limb) -> None:
+    presets = {"arm": escher.tables.arm_presets, "hand": escher.tables.hand_presets}[limb]
+    for name, sides in presets.items():
         for side in SIDES:
             if side in sides:
-                assert preset(escher, side, name) == sides[side]
-    with pytest.raises(ValorError, match=next(iter(escher.tables.arm_presets))):
-        preset(escher, "left", "backflip")
+                assert preset(escher, side, limb, name) == sides[side]
+    with pytest.raises(ValorError, match=f"left {limb}.*{next(iter(presets))}"):
+        preset(escher, "left", limb, "backflip")
 
 
 def test_no_joint_exceeds_its_share_of_the_speed_limit(escher: RobotDescription) -> None:

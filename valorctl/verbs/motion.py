@@ -1,4 +1,4 @@
-"""``mode``, ``arm``, ``walk``, ``push``."""
+"""``mode``, ``arm``, ``hand``, ``walk``, ``push``."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ def register(app: typer.Typer) -> None:
     """Add the verbs."""
     app.command()(mode)
     app.command()(arm)
+    app.command()(hand)
     app.command()(walk)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
 
@@ -69,27 +70,55 @@ def mode(
         say(change.describe())
 
 
+_SPEED = typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")
+_TOLERANCE = typer.Option(min=0.0, help="For the final error of each joint [rad].")
+_JSON = typer.Option("--json", help="As JSON.")
+
+
 def arm(
     side: Annotated[Literal["left", "right"], typer.Argument(help="Which arm.")],
     preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's arm_presets.")],
-    speed: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")
-    ] = 0.5,
-    tolerance: Annotated[float, typer.Option(min=0.0, help="For the final error of each joint [rad].")] = 0.05,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    speed: Annotated[float, _SPEED] = 0.5,
+    tolerance: Annotated[float, _TOLERANCE] = 0.05,
+    json: Annotated[bool, _JSON] = False,
 ) -> None:
     """Move an arm to a preset posture and measure how well it got there."""
+    _move(side, "arm", preset, speed=speed, tolerance=tolerance, json=json)
+
+
+def hand(
+    side: Annotated[Literal["left", "right"], typer.Argument(help="Which hand.")],
+    preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's hand_presets: open, close.")],
+    speed: Annotated[float, _SPEED] = 0.5,
+    tolerance: Annotated[float, _TOLERANCE] = 0.05,
+    json: Annotated[bool, _JSON] = False,
+) -> None:
+    """Open or close a hand and measure how well it got there."""
+    _move(side, "hand", preset, speed=speed, tolerance=tolerance, json=json)
+
+
+def _move(
+    side: Literal["left", "right"],
+    limb: Literal["arm", "hand"],
+    name: str,
+    *,
+    speed: float,
+    tolerance: float,
+    json: bool,
+) -> None:
     from valorctl import arm_motion, status
 
     instance = Instance.from_environment()
     status.require_up(instance)
     with Interruption() as interruption:
-        motion = arm_motion.move_arm(instance, side, preset, speed=speed, tolerance=tolerance, check=interruption.check)
+        motion = arm_motion.move_limb(
+            instance, side, limb, name, speed=speed, tolerance=tolerance, check=interruption.check
+        )
     if json:
         say_json(
             {
                 "side": side,
-                "preset": preset,
+                "preset": name,
                 "duration_s": motion.duration,
                 "arrived": motion.arrived,
                 "worst_joint": motion.worst_joint,
@@ -98,9 +127,9 @@ def arm(
             }
         )
     if not motion.arrived:
-        raise ValorError(f"{side} arm did not reach {preset}: {motion.describe()}")
+        raise ValorError(f"{side} {limb} did not reach {name}: {motion.describe()}")
     if not json:
-        say(f"{side} arm in {preset} after {motion.duration:.1f} s; {motion.describe()}")
+        say(f"{side} {limb} in {name} after {motion.duration:.1f} s; {motion.describe()}")
 
 
 def walk(
