@@ -11,7 +11,7 @@ from bifrost import Uint8Array
 from valor_common.messages import MotionState
 
 _EMPTY = {str: "", int: 0, float: 0.0, Uint8Array: np.zeros(2, np.uint8)}
-_TYPES = get_type_hints(MotionState, include_extras=True)
+_TYPES = get_type_hints(MotionState)  # without what codecs add to them when they are made
 
 
 def motion_state(position: tuple[float, float] = (0.0, 0.0), heading: float = 0.0, **fields: Any) -> MotionState:
