@@ -22,7 +22,6 @@ from valor_analysis.timeline import Timeline
 from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 
 SETTLED = 0.3  # before a motion's end, over which a final error is averaged [s]
-POINTS = 3000  # drawn of a line: more than pixels
 GOAL, VRC, MOTOR_COLOR, MEASURED = "#0072b2", "#c0392b", "#e69f00", "#7d5ba6"
 
 Quantity = Literal["position", "velocity"]
@@ -145,13 +144,13 @@ def _panel(axes: Axes, recording: Recording, one: JointSignals, quantity: Quanti
     if quantity == "position":
         at, goal = one.reference
         near = (at >= start) & (at <= end)
-        _line(axes, at[near] - start, goal[near], GOAL, 1.2)
+        style.curve(axes, at[near] - start, goal[near], GOAL, 1.2)
     for signal, color, width in (
         (one.measured[quantity], MEASURED, 2.2),
         (one.command[quantity], MOTOR_COLOR, 1.4),
         (one.setpoint[quantity], VRC, 0.9),
     ):
-        _line(axes, signal.time - start, signal.value, color, width)
+        style.curve(axes, signal.time - start, signal.value, color, width)
     low, high = axes.get_ylim()
     room = max(high - low, 0.1)
     middle = 0.5 * (low + high)
@@ -161,8 +160,3 @@ def _panel(axes: Axes, recording: Recording, one: JointSignals, quantity: Quanti
     shown = np.flatnonzero((states.time >= start) & (states.time <= end))
     if shown.size:
         bands(axes, states.time[shown] - start, states.strings("behavior")[shown], label=False)
-
-
-def _line(axes: Axes, x: Array, y: Array, color: str, width: float) -> None:
-    step = max(1, len(x) // POINTS)
-    axes.plot(x[::step], y[::step], color=color, linewidth=width, solid_capstyle="round")

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +21,6 @@ from valor_common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOT
 MARGIN = 1.0  # shown before and after the arms are free [s]
 STILL = 0.002  # slower than this a set-point is at rest [rad/s]
 FRESH = 0.05  # a set-point speaks for measurements this near [s]
-POINTS = 3000  # drawn of a line: more than pixels
 _COLUMNS = 2
 
 
@@ -89,12 +87,12 @@ def _track_group(recording: Recording, group: str, out: Path) -> Path:
         label = "position [rad]" if i % _COLUMNS == 0 else ""
         style.quiet(axes, joint, "", label)
         axes.set_xlim(0.0, last - first)
-        _line(axes, times[shown] - first, measured[shown, column], style.MEASURED, 2.2)
-        _line(axes, command_times[commanded] - first, commands[commanded, column], style.COMMAND, 1.3)
+        style.curve(axes, times[shown] - first, measured[shown, column], style.MEASURED, 2.2)
+        style.curve(axes, command_times[commanded] - first, commands[commanded, column], style.COMMAND, 1.3)
         if joint in setpoints:
             at, reference = setpoints[joint]
             near = (at >= first) & (at <= last)
-            _line(axes, at[near] - first, reference[near], style.REFERENCE, 1.1, linestyle=(0, (4, 2)))
+            style.curve(axes, at[near] - first, reference[near], style.REFERENCE, 1.1, linestyle=(0, (4, 2)))
             fresh = np.abs(times - at[nearest(at, times)]) < FRESH
             covered = shown & fresh
             desired = np.interp(times[covered], at, reference)
@@ -127,7 +125,7 @@ def _plot_errors(axes: Axes, errors: list[_Error], end: float) -> None:
     axes.set_xlim(0.0, end)
     axes.axhline(0.0, color=style.GREY, linewidth=0.8)
     for error, color in zip(errors, style.SERIES, strict=False):
-        _line(axes, error.time, 1e3 * error.value, color, 1.2, label=error.joint)
+        style.curve(axes, error.time, 1e3 * error.value, color, 1.2, label=error.joint)
     if errors:
         handles, _ = axes.get_legend_handles_labels()
         style.legend(axes, handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), ncols=len(errors))
@@ -161,18 +159,20 @@ def balance(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     com, dcm = states["com_in_odom"][shown], states["dcm_in_odom"][shown]
     above = figure.add_subplot(grid[0])
     style.quiet(above, "pelvis from where it was, horizontal", "", "[cm]")
-    _line(above, at, _from_start(pelvis), style.COMMAND, 1.4, label="estimated")
+    style.curve(above, at, _from_start(pelvis), style.COMMAND, 1.4, label="estimated")
     if recording.has(GROUND_TRUTH):
         truth = recording.series(GROUND_TRUTH)
         near = (truth.time >= first) & (truth.time <= last)
         true = truth["pelvis_position_in_world"][near]
-        _line(above, truth.time[near] - first, _from_start(true), style.MEASURED, 1.4, label="true")
+        style.curve(above, truth.time[near] - first, _from_start(true), style.MEASURED, 1.4, label="true")
     style.legend(above, above.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=2)
     below = figure.add_subplot(grid[1])
     style.quiet(below, "CoM and DCM from where the CoM was", "robot time from the window's start [s]", "[cm]")
     for axis, name, color in ((0, "x", style.SERIES[0]), (1, "y", style.SERIES[1])):
-        _line(below, at, 100.0 * (dcm[:, axis] - com[0, axis]), color, 0.8, linestyle=(0, (1, 1)), label=f"DCM {name}")
-        _line(below, at, 100.0 * (com[:, axis] - com[0, axis]), color, 1.5, label=f"CoM {name}")
+        style.curve(
+            below, at, 100.0 * (dcm[:, axis] - com[0, axis]), color, 0.8, linestyle=(0, (1, 1)), label=f"DCM {name}"
+        )
+        style.curve(below, at, 100.0 * (com[:, axis] - com[0, axis]), color, 1.5, label=f"CoM {name}")
     style.legend(below, below.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=4)
     for axes in (above, below):
         axes.set_xlim(0.0, last - first)
@@ -188,11 +188,6 @@ def _window(recording: Recording, times: Array) -> tuple[float, float]:
         raise BagError(f"{recording.bag.path}: no messages on {recorded(PROPRIOCEPTOR)}")
     span = recording.manipulation() or (float(times[0]), float(times[-1]))
     return max(float(times[0]), span[0] - MARGIN), min(float(times[-1]), span[1] + MARGIN)
-
-
-def _line(axes: Axes, x: Array, y: Array, color: str, width: float, **more: Any) -> None:
-    step = max(1, len(x) // POINTS)
-    axes.plot(x[::step], y[::step], color=color, linewidth=width, solid_capstyle="round", **more)
 
 
 def _widen(axes: Axes) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -27,7 +26,6 @@ MARGIN = 1.0  # around the path [m]
 GRID = 0.05  # of the ground's heights [m]
 CLOSE_UP = 6.0  # of the walk, in which single steps are seen [s]
 PICTURE = (1280, 800)  # [pixels]
-_POINTS = 4000  # drawn of a line
 _LEFT, _RIGHT = style.SERIES[0], style.SERIES[1]
 
 
@@ -76,8 +74,8 @@ def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
         )  # fmt: skip
         for each in prints:
             axes.add_patch(_sole(each, soles[0] if each.left else soles[1]))
-        _line(axes, true[:, 0], true[:, 1], style.INK, 1.3)
-        _line(axes, believed[:, 0], believed[:, 1], style.INK, 0.9, linestyle=(0, (2, 2)))
+        style.curve(axes, true[:, 0], true[:, 1], style.INK, 1.3)
+        style.curve(axes, believed[:, 0], believed[:, 1], style.INK, 0.9, linestyle=(0, (2, 2)))
         axes.set_xlim(begin, begin + length)
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
@@ -137,7 +135,7 @@ def dynamics(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     largest, mean = (np.array([f(beside[groups == s]) if (groups == s).any() else np.nan for s in seconds])
                      for f in (np.max, np.mean))  # fmt: skip
     errors.fill_between(seconds + 0.5, mean, largest, color=style.COMMAND, alpha=0.25, linewidth=0)
-    _line(errors, seconds + 0.5, mean, style.COMMAND, 1.6)
+    style.curve(errors, seconds + 0.5, mean, style.COMMAND, 1.6)
     forces = figure.add_subplot(grid[1])
     style.quiet(
         forces, "largest vertical force under each foot in each second", "robot time from setting off [s]", "[N]"
@@ -145,7 +143,7 @@ def dynamics(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     for foot, color in enumerate((_LEFT, _RIGHT)):
         peaks = np.array([walk.measured_force[groups == s, foot].max() if (groups == s).any() else np.nan
                           for s in seconds])  # fmt: skip
-        _line(forces, seconds + 0.5, peaks, color, 1.3)
+        style.curve(forces, seconds + 0.5, peaks, color, 1.3)
     for axes in (errors, forces):
         axes.set_xlim(0.0, at[-1])
         axes.set_ylim(bottom=0.0)
@@ -155,8 +153,8 @@ def dynamics(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     close = figure.add_subplot(grid[3])
     style.quiet(close, "vertical force under each foot, planned and measured", "robot time from setting off [s]", "[N]")
     for foot, color, name in ((0, _LEFT, "left"), (1, _RIGHT, "right")):
-        _line(close, at[near], walk.measured_force[near, foot], color, 1.6, label=f"{name}, measured")
-        _line(close, at[near], walk.desired_force[near, foot], style.INK, 0.8, linestyle=(0, (2, 2)),
+        style.curve(close, at[near], walk.measured_force[near, foot], color, 1.6, label=f"{name}, measured")
+        style.curve(close, at[near], walk.desired_force[near, foot], style.INK, 0.8, linestyle=(0, (2, 2)),
               label="planned" if foot else None)  # fmt: skip
     close.set_xlim(at[near][0], at[near][-1])
     style.legend(close, close.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.28), ncols=3)
@@ -223,7 +221,7 @@ def _dcm_close_up(axes: Axes, recording: Recording, times: Array, first: float) 
     lines = (("dcm_in_odom", style.MEASURED, 1.6, "-", "DCM"), ("com_in_odom", style.COMMAND, 1.6, "-", "CoM"),
              ("dcm_reference_in_odom", style.INK, 0.8, (0, (2, 2)), "DCM's reference"))  # fmt: skip
     for field, color, width, dashes, name in lines:
-        _line(axes, at, 100.0 * states[field][rows, 1], color, width, linestyle=dashes, label=name)
+        style.curve(axes, at, 100.0 * states[field][rows, 1], color, width, linestyle=dashes, label=name)
     axes.set_xlim(at[0], at[-1])
     style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.28), ncols=3)
 
@@ -235,8 +233,3 @@ def _sole(footprint: Footprint, foot: Foot) -> Polygon:
     turned = corners @ np.array([[cos, sin], [-sin, cos]]) + footprint.position[:2]
     color = _LEFT if footprint.left else _RIGHT
     return Polygon(turned, closed=True, facecolor=color, alpha=0.55, edgecolor="white", linewidth=0.3)
-
-
-def _line(axes: Axes, x: Array, y: Array, color: str, width: float, **more: Any) -> None:
-    step = max(1, len(x) // _POINTS)
-    axes.plot(x[::step], y[::step], color=color, linewidth=width, solid_capstyle="round", **more)
