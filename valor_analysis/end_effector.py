@@ -26,7 +26,6 @@ from valor_common.robot import RobotDescription
 from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, PROPRIOCEPTOR
 
 RATE = 100.0  # of the poses [Hz]
-SETTLED = 0.3  # before a motion's end, over which a final error is averaged [s]
 
 Side = Literal["left", "right"]
 
@@ -203,4 +202,5 @@ class HandTrack:
 
     def settled(self, motion: Motion) -> np.typing.NDArray[np.bool_]:
         """(m,) which moments are the last before a motion's end, at rest."""
-        return (self.time >= motion.end - SETTLED) & (self.time <= motion.end)
+        begin, end = motion.rest
+        return (self.time >= begin) & (self.time <= end)

@@ -21,7 +21,6 @@ from valor_analysis.signals import Signal
 from valor_analysis.timeline import Timeline
 from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 
-SETTLED = 0.3  # before a motion's end, over which a final error is averaged [s]
 GOAL, VRC, MOTOR_COLOR, MEASURED = "#0072b2", "#c0392b", "#e69f00", "#7d5ba6"
 
 Quantity = Literal["position", "velocity"]
@@ -95,7 +94,7 @@ class JointSignals:
         errors = []
         for motion in timeline.motions:
             if self.joint in motion.goal:
-                rest = self.measured["position"].between(motion.end - SETTLED, motion.end)
+                rest = self.measured["position"].between(*motion.rest)
                 errors.append(float(rest.value.mean()) - motion.goal[self.joint])
         return max(errors, key=abs)
 

@@ -10,6 +10,8 @@ import numpy as np
 from valor_analysis.bag import Array
 from valor_analysis.errors import BagError
 
+SETTLED = 0.3  # at a motion's end, over which final errors are averaged [s]
+
 
 class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One goal of a trajectory controller."""
@@ -18,6 +20,11 @@ class Motion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     start: float  # when it was sent, robot time [s]
     end: float  # when the robot had come to rest after it, robot time [s]
     goal: dict[str, float]  # final positions by joint [rad]
+
+    @property
+    def rest(self) -> tuple[float, float]:
+        """From when to when the robot is at rest after it [s]."""
+        return self.end - SETTLED, self.end
 
 
 class Timeline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
