@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from valor_analysis import style
 from valor_analysis.bag import Array
@@ -114,20 +115,14 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
     return style.save(figure, file, _DPI)
 
 
-def _finish(axes: object, at: Array, values: Array) -> None:
-    from matplotlib.axes import Axes
-
-    assert isinstance(axes, Axes)
+def _finish(axes: Axes, at: Array, values: Array) -> None:
     axes.set_xlim(at[0], at[-1])
     low, high = float(values.min()), float(values.max())
     room = max(high - low, 1e-3)
     axes.set_ylim(low - 0.18 * room, high + 0.12 * room)  # below: the bands
 
 
-def _mark(axes: object, track: HandTrack) -> None:
+def _mark(axes: Axes, track: HandTrack) -> None:
     """A thin line where each motion begins."""
-    from matplotlib.axes import Axes
-
-    assert isinstance(axes, Axes)
     for motion in track.motions:
         axes.axvline(motion.start - track.time[0], color=style.LIGHT, linewidth=0.9, zorder=0.6)

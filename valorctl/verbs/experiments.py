@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
 from valorctl.console import progress, rich_console, say
+
+if TYPE_CHECKING:
+    from valor_analysis.results import Result
 
 INSTANCE = "experiment"
 
@@ -75,12 +78,9 @@ def report(
         say(f"not there: {', '.join(name for name in BY_NAME if name in missing)}")
 
 
-def _show(result: object) -> None:
+def _show(result: Result) -> None:
     from rich.table import Table
 
-    from valor_analysis.results import Result
-
-    assert isinstance(result, Result)
     table = Table(title=f"{result.title} ({result.reproduces})", box=None, pad_edge=False, header_style="dim",
                   title_justify="left")  # fmt: skip
     table.add_column("")
