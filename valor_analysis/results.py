@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import psutil
 
+from valor_analysis import json_file
 from valor_analysis.errors import ResultError
 
 FILE = "result.json"
@@ -64,19 +65,11 @@ class Result(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         Raises:
             ResultError: there is none, or it is not one; names the file.
         """
-        file = folder / FILE
-        try:
-            return msgspec.json.decode(file.read_bytes(), type=cls)
-        except OSError as error:
-            raise ResultError(f"{file}: {error.strerror}; expected the result of an experiment") from None
-        except msgspec.DecodeError as error:
-            raise ResultError(f"{file}: {error}") from None
+        return json_file.load(folder / FILE, cls, ResultError, "the result of an experiment")
 
     def save(self, folder: Path) -> Path:
         """Write it into a folder; returns the file."""
-        file = folder / FILE
-        file.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n")
-        return file
+        return json_file.save(self, folder / FILE)
 
 
 def host_facts() -> dict[str, str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from valor_analysis import json_file
 from valor_analysis.bag import Array
 from valor_analysis.errors import BagError
 
@@ -39,16 +40,11 @@ class Timeline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             BagError: it cannot be read, or is none.
         """
-        try:
-            return msgspec.json.decode(file.read_bytes(), type=cls)
-        except OSError as error:
-            raise BagError(f"{file}: {error.strerror}; expected the experiment's motions") from None
-        except msgspec.DecodeError as error:
-            raise BagError(f"{file}: {error}") from None
+        return json_file.load(file, cls, BagError, "the experiment's motions")
 
-    def save(self, file: Path) -> None:
-        """Write it."""
-        file.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=2) + b"\n")
+    def save(self, file: Path) -> Path:
+        """Write it; returns the file."""
+        return json_file.save(self, file)
 
     def reference(self, joint: str, times: Array) -> Array:
         """(m,) the last goal that a joint was given before each of some times [s]; NaN before its first."""
