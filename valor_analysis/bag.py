@@ -44,6 +44,7 @@ class Series:
         self.messages = messages
         self.received = received
         self._columns: dict[str, Array] = {}
+        self._by_joint: dict[str, dict[str, tuple[Array, Array]]] = {}
 
     def __len__(self) -> int:
         return len(self.messages)
@@ -78,14 +79,16 @@ class Series:
 
     def by_joint(self, field: str = "position") -> dict[str, tuple[Array, Array]]:
         """Of messages that carry joint names with their values: times [s] and values, by joint."""
-        key = "names" if hasattr(self.messages[0], "names") else "name"
-        times: dict[str, list[float]] = {}
-        values: dict[str, list[float]] = {}
-        for at, message in zip(self.time.tolist(), self.messages, strict=True):
-            for joint, value in zip(getattr(message, key), getattr(message, field).tolist(), strict=False):
-                times.setdefault(joint, []).append(at)
-                values.setdefault(joint, []).append(value)
-        return {joint: (np.array(times[joint]), np.array(values[joint])) for joint in times}
+        if field not in self._by_joint:
+            key = "names" if hasattr(self.messages[0], "names") else "name"
+            times: dict[str, list[float]] = {}
+            values: dict[str, list[float]] = {}
+            for at, message in zip(self.time.tolist(), self.messages, strict=True):
+                for joint, value in zip(getattr(message, key), getattr(message, field).tolist(), strict=False):
+                    times.setdefault(joint, []).append(at)
+                    values.setdefault(joint, []).append(value)
+            self._by_joint[field] = {joint: (np.array(times[joint]), np.array(values[joint])) for joint in times}
+        return self._by_joint[field]
 
 
 class Bag:
