@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from valor_analysis.errors import BagError
 from valor_analysis.flat import Flattener, Shape
 from valor_analysis.ros_types import Types
 from valor_analysis.stored import Condition, StoredBag, StoredTopic
+from valor_common.selection import Selection
 
 TIME = "log_time_ns"
 MOST_NOTICES = 100
@@ -59,12 +59,12 @@ def export(
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise BagError(f"{out}: expected an empty folder, or a name for a new one")
-        return _export(bag, out, topics, tell)
+        return _export(bag, out, Selection(tuple(topics)), tell)
     except OSError as error:
         raise BagError(f"{error.filename or out}: {error.strerror}") from None
 
 
-def _export(bag: StoredBag, out: Path, patterns: Sequence[str], tell: Callable[[int], None]) -> Export:
+def _export(bag: StoredBag, out: Path, selection: Selection, tell: Callable[[int], None]) -> Export:
     types, notices = Types(), _Notices()
     tables: dict[StoredTopic, _Table | None] = {}
     names: set[str] = set()
@@ -74,7 +74,7 @@ def _export(bag: StoredBag, out: Path, patterns: Sequence[str], tell: Callable[[
                 tell(count)
             if topic not in tables:
                 tables[topic] = None
-                if patterns and not any(fnmatchcase(topic.name, pattern) for pattern in patterns):
+                if topic.name not in selection:
                     continue
                 try:
                     joints = bag.condition.origin.get("joints", "").split() if topic.type.startswith(_OURS) else ()

@@ -9,13 +9,13 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from valor_analysis.stored import StoredBag, StoredTopic
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
+from valor_common.selection import Selection
 from valorctl.instance_setup import domains_taken
 
 DEPTH = 100
@@ -74,7 +74,7 @@ def play(
     with _Publishers(domain) as publishers:
         first: int | None = None
         began, played = 0.0, 0
-        for stamp, topic, data in _in_order(bag, topics):
+        for stamp, topic, data in _in_order(bag, Selection(tuple(topics))):
             publisher = publishers.of(topic)
             if publisher is None:
                 continue
@@ -93,12 +93,12 @@ def play(
         return Played(played, publishers.skipped, bag.condition.damage)
 
 
-def _in_order(bag: StoredBag, patterns: Sequence[str]) -> Iterator[tuple[int, StoredTopic, bytes]]:
+def _in_order(bag: StoredBag, selection: Selection) -> Iterator[tuple[int, StoredTopic, bytes]]:
     """By time: a recorder writes what came on one topic, then on the next."""
     waiting: list[tuple[int, int, StoredTopic, bytes]] = []
     newest = 0
     for number, (topic, stamp, data) in enumerate(bag.messages()):
-        if patterns and not any(fnmatchcase(topic.name, pattern) for pattern in patterns):
+        if topic.name not in selection:
             continue
         heapq.heappush(waiting, (stamp, number, topic, data))
         newest = max(newest, stamp)

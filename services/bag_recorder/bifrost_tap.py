@@ -10,8 +10,8 @@ import bifrost
 from bag_recorder.bag import RecordedTopic, Sink
 from bag_recorder.clock import WallClock
 from bag_recorder.definitions import definition
-from bag_recorder.selection import EVERYTHING, Selection
 from bag_recorder.twin import TwinEncoder, twin_type
+from valor_common.selection import EVERYTHING, Selection
 from valor_common.topics import TOPICS, Topic
 
 PREFIX = "/bifrost/"

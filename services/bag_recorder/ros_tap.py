@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from bag_recorder.bag import RecordedTopic, Sink
 from bag_recorder.clock import WallClock
 from bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
-from bag_recorder.selection import Selection
+from valor_common.selection import Selection
 
 DEPTH = 2000  # messages a topic that may wait for the next look
 

@@ -11,10 +11,10 @@ from bag_recorder.continuous import Continuous
 from bag_recorder.definitions import UnknownTypeError
 from bag_recorder.last_seconds import LastSeconds
 from bag_recorder.ros_tap import RosTap
-from bag_recorder.selection import Selection
 from bag_recorder.shelf import Shelf, told
 from valor_common.errors import ConfigurationError
 from valor_common.messages import MotionState, SnapReply, SnapRequest
+from valor_common.selection import Selection
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import MOTION_STATE, SNAP
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bag_recorder.selection import EVERYTHING, Selection
 from bag_recorder.tally import Count, Tally, table
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Recording
+from valor_common.selection import EVERYTHING, Selection
 from valorctl.recording_options import recording
 
 

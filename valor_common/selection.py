@@ -1,4 +1,4 @@
-"""Which topics are recorded: patterns of their names in the bag."""
+"""Which topics of a bag: patterns of their names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class Selection:
     """Shell patterns (``/bifrost/*/statistics``); a ``*`` matches slashes, too.
 
     Attributes:
-        only: what is recorded; all topics if there is none.
+        only: what is chosen; all topics if there is none.
         without: what is left out of that.
     """
 
