@@ -65,7 +65,7 @@ def play(
     if not (math.isfinite(rate) and rate > 0.0):
         raise ValorError(f"--rate {rate:g}: expected a number above 0")
     domain = int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain is None else domain
-    taken = domains_taken(instance.folder.parent, but=Instance("nobody", instance.folder.parent))
+    taken = domains_taken(instance.folder.parent)
     if domain in taken:
         raise ValorError(
             f"ROS domain {domain} is a running system's, which would obey the bag; choose another: --domain"

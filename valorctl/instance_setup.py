@@ -157,11 +157,11 @@ def domain_is_free(domain: int) -> bool:
     return True
 
 
-def domains_taken(home: Path, but: Instance) -> set[int]:
-    """The ROS domains of the other instances under a home."""
+def domains_taken(home: Path, but: Instance | None = None) -> set[int]:
+    """The ROS domains of the instances under a home, but of one."""
     taken = set()
     for file in home.glob("*/instance.json"):
-        if file != but.settings_file:
+        if but is None or file != but.settings_file:
             with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
                 taken.add(int(json.loads(file.read_text())["ros_domain_id"]))
     return taken
