@@ -70,6 +70,7 @@ class BagRecorder:
             if now >= next_discovery:
                 next_discovery = now + DISCOVERY_PERIOD
                 self._ros.discover()
+                self._statistics.drops = sum(dropped for _, dropped in self._counts().values())
             try:
                 if now >= next_clock or self._clock.moved():
                     next_clock = now + CLOCK_PERIOD
@@ -80,7 +81,6 @@ class BagRecorder:
                 self._recording.failed(error)
             self._tell_state()
             self._snaps.serve()
-            self._statistics.drops = sum(dropped for _, dropped in self._counts().values())
             self._statistics.idle()
 
     def close(self) -> None:
