@@ -1,4 +1,4 @@
-"""One MCAP bag as NumPy arrays, topic by topic.
+"""One bag as NumPy arrays, topic by topic.
 
 A topic is read when it is first asked for, and kept. A bag whose writer was killed ends without an index: what was
 written before is read all the same.
@@ -6,7 +6,6 @@ written before is read all the same.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -15,13 +14,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from valor_analysis.errors import BagError
+from valor_analysis.ros_types import Types
+from valor_analysis.stored import StoredBag, StoredTopic
 
 Array = npt.NDArray[np.float64]
 _NANO = 1e-9
@@ -92,28 +88,22 @@ class Series:
 
 
 class Bag:
-    """An MCAP bag, opened for reading.
+    """A bag, opened for reading: an MCAP or SQLite file, or a folder of them.
 
     Attributes:
-        path: the file.
-        truncated: the file ends in the middle; known once something was read.
+        path: as given.
+        truncated: it ends in the middle; known once something was read.
 
     Raises:
-        BagError: by the constructor: there is no such file, or it is no MCAP bag.
+        BagError: by the constructor: there is no bag.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.truncated = False
         self._series: dict[str, Series] = {}
-        self._store = get_typestore(Stores.EMPTY)
-        try:
-            with open(path, "rb") as file:
-                magic = file.read(5)
-        except OSError as error:
-            raise BagError(f"{path}: {error.strerror}; expected an MCAP bag") from None
-        if magic != b"\x89MCAP":
-            raise BagError(f"{path}: not an MCAP bag")
+        self._types = Types()
+        StoredBag(path)  # complains if there is none
 
     @classmethod
     def of(cls, bag: Bag | Path) -> Bag:
@@ -123,18 +113,14 @@ class Bag:
     @cached_property
     def topics(self) -> dict[str, str]:
         """Topics with messages, and their ROS types."""
-        return {channel.topic: schema.name for channel, schema, _ in self._records(None)}
+        return {topic.name: topic.type for topic, _, _ in self._messages()}
 
     @cached_property
     def origin(self) -> dict[str, str]:
         """What the recorder noted of the system: robot, world, seed, …; empty in a bag of another recorder."""
-        with open(self.path, "rb") as file, contextlib.suppress(McapError, ValueError, KeyError, OverflowError):
-            for record in StreamReader(file).records:
-                if isinstance(record, Metadata) and record.name == "valor":
-                    return dict(record.metadata)
-                if isinstance(record, Message):  # it stands before all
-                    break
-        return {}
+        stored = StoredBag(self.path)
+        next(stored.messages(), None)  # it stands before all
+        return stored.condition.origin
 
     def __contains__(self, topic: str) -> bool:
         return topic in self._series or topic in self.topics
@@ -152,62 +138,42 @@ class Bag:
         """Read several topics in one pass.
 
         Raises:
-            BagError: the bag lacks one of them, or is broken.
+            BagError: the bag lacks one of them, or is damaged otherwise than by a missing end.
         """
         wanted = [topic for topic in topics if topic not in self._series]
         if not wanted:
             return
-        data: dict[str, list[bytes]] = {topic: [] for topic in wanted}
+        messages: dict[str, list[Any]] = {topic: [] for topic in wanted}
         received: dict[str, list[int]] = {topic: [] for topic in wanted}
-        types: dict[str, Schema] = {}
-        for channel, schema, message in self._records(wanted):
-            types[channel.topic] = schema
-            data[channel.topic].append(message.data)
-            received[channel.topic].append(message.log_time)
-        for topic in wanted:
-            if topic not in types:
+        types: dict[str, str] = {}
+        for topic, at, data in self._messages():
+            if topic.name in messages:
+                types[topic.name] = topic.type
+                messages[topic.name].append(self._decode(topic, data))
+                received[topic.name].append(at)
+        for name in wanted:
+            if name not in types:
                 known = ", ".join(sorted(self.topics)) or "no messages at all"
-                raise BagError(f"{self.path}: no messages on {topic}; the bag has {known}")
-            stamps = _NANO * np.array(received[topic], dtype=np.float64)
-            self._series[topic] = Series(
-                topic, types[topic].name, self._decode(topic, types[topic], data[topic]), stamps
-            )
+                raise BagError(f"{self.path}: no messages on {name}; the bag has {known}")
+            stamps = _NANO * np.array(received[name], dtype=np.float64)
+            self._series[name] = Series(name, types[name], messages[name], stamps)
 
-    def _records(self, topics: Sequence[str] | None) -> Iterator[tuple[Channel, Schema, Message]]:
-        """Messages of some topics, or of all, with their channels and schemas."""
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, Channel] = {}
-        with open(self.path, "rb") as file:
-            try:
-                for record in StreamReader(file).records:
-                    if isinstance(record, Message):
-                        channel = channels.get(record.channel_id)
-                        if channel is not None:
-                            yield channel, schemas[channel.schema_id], record
-                    elif isinstance(record, Schema):
-                        schemas[record.id] = record
-                    elif isinstance(record, Channel) and (topics is None or record.topic in topics):
-                        channels[record.id] = record
-            except EndOfFile:
-                if not self.truncated:
-                    _log.warning("%s: ends in the middle; what was written before is used", self.path)
-                self.truncated = True
-            except (McapError, ValueError, KeyError, OverflowError, MemoryError, OSError) as error:
-                raise BagError(f"{self.path}: broken MCAP: {' '.join(str(error).split())}") from None
-            except Exception as error:  # the decompressors raise classes of their own
-                raise BagError(f"{self.path}: broken MCAP chunk: {' '.join(str(error).split())}") from None
+    def _messages(self) -> Iterator[tuple[StoredTopic, int, bytes]]:
+        """All of them; a bag that is cut off is read to where it was written."""
+        stored = StoredBag(self.path)
+        yield from stored.messages()
+        condition = stored.condition
+        if len(condition.damage) > condition.truncated:
+            raise BagError(f"damaged: {condition.damage[0]}; expected a bag that is whole, or cut off at its end")
+        if condition.truncated and not self.truncated:
+            _log.warning("%s: ends in the middle; what was written before is used", self.path)
+        self.truncated = condition.truncated > 0
 
-    def _decode(self, topic: str, schema: Schema, data: list[bytes]) -> list[Any]:
+    def _decode(self, topic: StoredTopic, data: bytes) -> Any:
         try:
-            if schema.name not in self._store.fielddefs:
-                types = get_types_from_msg(schema.data.decode(), schema.name)
-                self._store.register(
-                    {name: type_ for name, type_ in types.items() if name not in self._store.fielddefs}
-                )
-            return [self._store.deserialize_cdr(raw, schema.name) for raw in data]
-        except (SerdeError, TypesysError, UnicodeDecodeError) as error:
-            text = " ".join(str(error).split())
-            raise BagError(f"{self.path}: {topic}: messages are not {schema.name}: {text}") from None
+            return self._types.decode(topic, data)
+        except BagError as error:
+            raise BagError(f"{self.path}: {error}") from None
 
 
 def _get(message: Any, field: str) -> Any:

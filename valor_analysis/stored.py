@@ -51,12 +51,14 @@ class Condition:
         messages: read so far.
         size: of its files [B].
         damage: what is wrong, in lines; none: it is whole.
+        truncated: files that end in the middle, each a line of damage.
         origin: the recorder's metadata ``valor``; empty in a bag of another recorder.
     """
 
     messages: int = 0
     size: int = 0
     damage: list[str] = field(default_factory=list)
+    truncated: int = 0
     origin: dict[str, str] = field(default_factory=dict)
 
 
@@ -159,6 +161,7 @@ def _mcap_records(opened: BinaryIO, file: Path, condition: Condition) -> Iterato
                 text = " ".join(str(error).split()) or type(error).__name__
                 condition.damage.append(f"{file}: unreadable from byte {at} of {size} on: {text}")
             elif not finished:
+                condition.truncated += 1
                 condition.damage.append(f"{file}: ends in the middle; {at} of {size} bytes are whole")
             return
         if isinstance(record, Metadata) and record.name == "valor":
@@ -228,6 +231,7 @@ def _note_missing_end(file: Path, condition: Condition) -> None:
     expected = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
     size = file.stat().st_size
     if size < expected:
+        condition.truncated += 1
         condition.damage.append(f"{file}: ends in the middle; {size} of {expected} bytes are there")
 
 
