@@ -427,6 +427,7 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
     description.publish(String(data="<robot/>"))
     instance.configure(recording=Recording(split_bytes=1 << 20))
     path = recorder(instance)
+    wait_until(lambda: has(path, "/robot_description", 1), 20.0, "what is latched is in the first bag", 0.2)
     node = instance.node()
     stream = Stream(node.publisher(MOTOR.name, Motor), 800.0)
     stream.start()
@@ -455,6 +456,7 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     instance.start("bag_recorder")
     instance.wait_ready("bag_recorder")
     assert bags(instance) == []
+    wait_until(lambda: description.get_subscription_count() == 1, 20.0, "the recorder hears what is latched")
     node = instance.node()
     client = node.client(SNAP.name, SnapRequest, SnapReply)
     stream = Stream(node.publisher(MOTOR.name, Motor), 100.0)
