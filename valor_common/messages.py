@@ -68,6 +68,48 @@ class ClockStatus(Message):
     holding: bool  # Motor is silent: the joints are held with damping
 
 
+class DeviceStatus(Message):
+    """How the devices' units fare on hardware: one entry a unit, in robot.yaml's order; every second and on change."""
+
+    time: int
+    units: list[str]  # device/unit: legs/1, neck/neck_yaw, imu
+    states: list[str]  # ok, silent, faulty, unplugged, disabled
+    details: list[str]  # what is wrong, for people; empty where nothing is
+    rate: Float64Array  # states received, over the last second [Hz]
+    latency: Float64Array  # from a command or request to the state that answers it, mean over the last second [s]
+    age: Float64Array  # of the newest state [s]
+    temperature: Float64Array  # the unit's hottest part [°C]; NaN: it does not say
+    voltage: Float64Array  # of its supply [V]; NaN: it does not say
+    errors: Float64Array  # frames refused since start: checksum, length, order, nonsense
+
+
+class HdtCommand(Message):
+    """Joint impedance of one HDT limb, its joints in the order of robot.yaml's group (``Motor`` for an arm or hand)."""
+
+    time: int
+    sequence: int
+    mode: Uint8Array  # JointMode
+    position: Float64Array  # [rad]
+    velocity: Float64Array  # [rad/s]
+    effort: Float64Array  # [N·m]
+    stiffness: Float64Array  # [N·m/rad]
+    damping: Float64Array  # [N·m·s/rad]
+
+
+class HdtState(Message):
+    """What the driver of one HDT limb says of it, its joints in the order of robot.yaml's group."""
+
+    time: int  # of the driver's clock
+    sequence: int
+    command_sequence: int  # of the newest HdtCommand that acted before this was measured; 0: none yet
+    position: Float64Array  # of the motors' side [rad]: backlash is behind it
+    velocity: Float64Array  # [rad/s]
+    effort: Float64Array  # [N·m]
+    temperature: Float64Array  # [°C]
+    voltage: float  # of the limb's supply [V]
+    fault: Uint8Array  # bits: 1 over-temperature, 2 under-voltage, 4 encoder, 8 no answer; 0: none
+
+
 # --- Motion Manager out -------------------------------------------------------------------------------------------
 
 

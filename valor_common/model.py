@@ -1,7 +1,7 @@
 """MuJoCo models of a robot: ``model.xml`` with the numbers of ``robot.yaml`` written into it.
 
 ``robot_spec`` is what every model begins with. ``controller_model`` and ``full_model`` are compiled from it here; the
-simulated plant, with a world and errors of its own, is built in ``comms_manager.simulation``, so that the two can
+simulated plant, with a world and errors of its own, is built in ``valor_simulation``, so that the two can
 differ. A ``Model`` knows where each joint's numbers stand in MuJoCo's vectors.
 """
 

@@ -55,6 +55,15 @@ HAND_GOAL                     = Topic("motion_manager/hand_goal",          m.Han
 HAND_GOAL_STATUS              = Topic("motion_manager/hand_goal_status",   m.HandGoalStatus,   _MOTION,    None,         1, "how a hand fares on its way")
 JOINT_GAINS                   = Topic("motion_manager/joint_gains",        m.JointGains,       _VRC,       None,         1, "stiffness and damping")
 BALANCE_WEIGHTS               = Topic("motion_manager/balance_weights",    m.BalanceWeights,   _VRC,       None,         1, "weights of the tasks")
+DEVICES                       = Topic("comms_manager/devices",             m.DeviceStatus,    _COMMS,    None,         1, "how the devices fare; hardware only")
+HDT_LEFT_ARM_COMMAND          = Topic("comms_manager/hdt/left_arm/command",  m.HdtCommand,    _COMMS,    None,         0, "joint impedance of the arm; hardware only")
+HDT_RIGHT_ARM_COMMAND         = Topic("comms_manager/hdt/right_arm/command", m.HdtCommand,    _COMMS,    None,         0, "likewise")
+HDT_LEFT_HAND_COMMAND         = Topic("comms_manager/hdt/left_hand/command", m.HdtCommand,    _COMMS,    None,         0, "joint impedance of the hand; hardware only")
+HDT_RIGHT_HAND_COMMAND        = Topic("comms_manager/hdt/right_hand/command", m.HdtCommand,   _COMMS,    None,         0, "likewise")
+HDT_LEFT_ARM_STATE            = Topic("comms_manager/hdt/left_arm/state",  m.HdtState,        _COMMS,    None,         0, "what the arm's driver says; hardware only")
+HDT_RIGHT_ARM_STATE           = Topic("comms_manager/hdt/right_arm/state", m.HdtState,        _COMMS,    None,         0, "likewise")
+HDT_LEFT_HAND_STATE           = Topic("comms_manager/hdt/left_hand/state", m.HdtState,        _COMMS,    None,         0, "what the hand's driver says; hardware only")
+HDT_RIGHT_HAND_STATE          = Topic("comms_manager/hdt/right_hand/state", m.HdtState,       _COMMS,    None,         0, "likewise")
 CONTROL_MODE                  = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,      10.0,         1, "the VRC's control mode")
 GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it")
 MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
@@ -65,7 +74,9 @@ BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Sta
 
 TOPICS: tuple[Topic, ...] = (
     PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, PELVIS,
-    HAND_GOAL, HAND_GOAL_STATUS, JOINT_GAINS, BALANCE_WEIGHTS, CONTROL_MODE,
+    HAND_GOAL, HAND_GOAL_STATUS, JOINT_GAINS, BALANCE_WEIGHTS, DEVICES,
+    HDT_LEFT_ARM_COMMAND, HDT_RIGHT_ARM_COMMAND, HDT_LEFT_HAND_COMMAND, HDT_RIGHT_HAND_COMMAND,
+    HDT_LEFT_ARM_STATE, HDT_RIGHT_ARM_STATE, HDT_LEFT_HAND_STATE, HDT_RIGHT_HAND_STATE, CONTROL_MODE,
     GROUND_TRUTH, MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
     FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
 )

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from comms_manager.gears import Gears
 from valor_common.messages import JointMode, Motor
 from valor_common.robot import ActuatorProfile, RobotDescription
+from valor_simulation.gears import Gears
 
 FloatVector = npt.NDArray[np.float64]
 

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from comms_manager.gears import Gears
-from comms_manager.simulation.actuators import Actuators
 from valor_common import worlds
 from valor_common.errors import ConfigurationError, ValorError
 from valor_common.model import Model, Shapes, robot_spec
 from valor_common.robot import RobotDescription
+from valor_simulation.actuators import Actuators
+from valor_simulation.gears import Gears
 
 FloatVector = npt.NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Plant:
             raise ConfigurationError(f"actuators {profile!r}: expected one of robot.yaml's profiles: {known}")
         table = robot.tables.actuators[profile]
         # By itself MuJoCo writes its warnings to a file in the working directory.
-        mujoco.set_mju_user_warning(logging.getLogger("comms_manager").warning)
+        mujoco.set_mju_user_warning(logging.getLogger("simulation").warning)
         self.model = Model(robot, scene(robot, world, seed, "collision").compile())
         mj = self.model.mj
         self._scale_masses(table.mass_error, np.random.default_rng([seed, 0]))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import bifrost
-from comms_manager.simulation.plant import Plant
 from valor_common.messages import PushReply, PushRequest
 from valor_common.topics import PUSH
+from valor_simulation.plant import Plant
 
 DEFAULT_DURATION = 0.1  # where the request says 0 [s]
 LONGEST = 2.0  # [s]

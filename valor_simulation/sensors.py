@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from comms_manager.simulation.plant import Plant
 from valor_common.errors import ConfigurationError
 from valor_common.messages import Proprioceptor
 from valor_common.robot import RobotDescription, SensorNoise
+from valor_simulation.plant import Plant
 
 FloatVector = npt.NDArray[np.float64]
 BATTERY_VOLTAGE = 48.0  # the simulated battery does not drain [V]

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 import bifrost
-from comms_manager.simulation.plant import Plant
 from valor_common.messages import GroundTruth
 from valor_common.robot import RobotDescription
+from valor_simulation.plant import Plant
 
 
 class Truth:

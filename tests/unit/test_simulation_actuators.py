@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from comms_manager.gears import Gears
-from comms_manager.simulation.actuators import Actuators
 from valor_common.messages import JointMode, Motor
 from valor_common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
+from valor_simulation.actuators import Actuators
+from valor_simulation.gears import Gears
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 N = len(ROBOT.joints)

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from comms_manager.gears import Gears
-from comms_manager.simulation.plant import Plant, SimulationDivergedError, scene
-from comms_manager.simulation.sensors import Sensors
 from valor_common.errors import ConfigurationError
 from valor_common.messages import JointMode, Motor, Proprioceptor
 from valor_common.model import full_model
 from valor_common.robot import RobotDescription, SensorNoise
+from valor_simulation.gears import Gears
+from valor_simulation.plant import Plant, SimulationDivergedError, scene
+from valor_simulation.sensors import Sensors
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 N = len(ROBOT.joints)

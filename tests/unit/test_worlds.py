@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from comms_manager.simulation.plant import Plant
 from tests.conftest import ROBOTS
 from valor_common import worlds
 from valor_common.errors import ConfigurationError
 from valor_common.robot import RobotDescription
 from valor_common.worlds.dirt import Dirt
 from valor_common.worlds.stairs import Stairs
+from valor_simulation.plant import Plant
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 DIRT = worlds.WORLDS["dirt"]

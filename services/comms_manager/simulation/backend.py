@@ -5,14 +5,14 @@ from __future__ import annotations
 from comms_manager.backend import Backend
 from comms_manager.commands import Commands
 from comms_manager.simulation.clock import CLOCKS, Pacer, Wall
-from comms_manager.simulation.plant import Plant
-from comms_manager.simulation.push import PushServer
-from comms_manager.simulation.sensors import Sensors
-from comms_manager.simulation.truth import Truth
 from valor_common.errors import ConfigurationError
 from valor_common.messages import GroundTruth, Proprioceptor
 from valor_common.service import Context
 from valor_common.topics import GROUND_TRUTH
+from valor_simulation.plant import Plant
+from valor_simulation.push import PushServer
+from valor_simulation.sensors import Sensors
+from valor_simulation.truth import Truth
 
 
 class Simulation(Backend):

@@ -12,7 +12,7 @@ import time
 from abc import ABC, abstractmethod
 
 from comms_manager.commands import Commands
-from comms_manager.simulation.plant import Plant
+from valor_simulation.plant import Plant
 
 PATIENCE = 1.0  # of one wait for a Motor [s]
 STALENESS = 5  # realtime: periods that the state answered by the newest Motor may lie back

@@ -14,8 +14,6 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
-from comms_manager.simulation.plant import Plant
-from comms_manager.simulation.sensors import Sensors
 from motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,
@@ -27,6 +25,8 @@ from motion_manager.whole_body import (
 from valor_common.messages import JointMode, Motor
 from valor_common.model import controller_model
 from valor_common.robot import RobotDescription, RobotTables
+from valor_simulation.plant import Plant
+from valor_simulation.sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
 ROBOTS = Path(__file__).parents[3] / "robots"
