@@ -84,7 +84,8 @@ def in_executor(executor: Any, function: Callable[..., Any], *arguments: Any, **
 class RosClient:
     """An ordinary ROS 2 node that knows only public names; spins in a thread of its own."""
 
-    def __init__(self, environment: Mapping[str, str]) -> None:
+    def __init__(self, environment: Mapping[str, str], *, joint_states: bool = True) -> None:
+        """Join; without ``joint_states``, 250 a second of them are not heard."""
         for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
             os.environ[key] = environment[key]
         import rclpy
@@ -108,7 +109,8 @@ class RosClient:
             lambda report: self.reports.append((time.monotonic(), report)),
             latched,
         )
-        self.node.create_subscription(JointState, "/joint_states", self._keep_joint_state, 10)
+        if joint_states:
+            self.node.create_subscription(JointState, "/joint_states", self._keep_joint_state, 10)
         self._mode = ActionClient(
             self.node, ChangeControlMode, "/mode_controllers/control_mode_controller/change_control_mode"
         )

@@ -16,7 +16,7 @@ from footstep_converter.plan import PlannedStep, RunningPlan
 from valor_common.messages import StepStatus
 
 SILENCE = 4.0  # without a word of the Motion Manager, it is lost [s]
-START = 2.0  # from acceptance to the first step [s]
+START = 2.0  # from acceptance to the first word of steps being taken [robot time, s]
 SETTLE = 1.0  # in Stand, from the last word of steps being taken to the last word about the plan [robot time, s]
 STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [robot time, s]
 
@@ -77,6 +77,11 @@ class Progress:
     executing: int  # of the step being taken; of the last one done, between the last step and rest
     changeable: int  # of the first step that can still be changed, at most one behind the last
 
+    @property
+    def indices(self) -> tuple[int, int, int]:
+        """Performed, executing, changeable."""
+        return self.performed, self.executing, self.changeable
+
 
 class Execution:
     """Follows a plan that the Motion Manager accepted.
@@ -94,8 +99,8 @@ class Execution:
         first = self.plan[0].index
         self.progress = Progress(0, len(self.plan), first - 1, first - 1, first)
         self.outcome: Outcome | None = None
-        self._accepted = now
         self._heard = now
+        self._heard_since: int | None = None  # robot time heard first [ns]
         self._stepped = False  # the Motion Manager was seen in Step
         self._time = 0  # robot time heard last [ns]
         self._stood_since: int | None = None  # in Stand, having stepped, since the last word of steps being taken
@@ -120,10 +125,9 @@ class Execution:
         changeable = self.status.first_changeable_step_index if self.status else self.plan[0].index
         return RunningPlan(self.plan, changeable)
 
-    def update(self, plan: Sequence[PlannedStep], now: float) -> None:
+    def update(self, plan: Sequence[PlannedStep]) -> None:
         """The Motion Manager accepted other steps from ``plan[0]`` on."""
         self.plan = self.running_plan.updated(plan)
-        self._accepted = now
 
     def stop_asked(self, now: float) -> None:
         """The Motion Manager is being told to stop."""
@@ -148,6 +152,8 @@ class Execution:
 
     def _hear(self, now: float, time: int) -> None:
         self._heard, self._time = now, max(self._time, time)
+        if self._heard_since is None:
+            self._heard_since = self._time
         if self._stop_asked is not None and self._stop_since is None:
             self._stop_since = self._time
 
@@ -204,7 +210,7 @@ class Execution:
         elif self._stood_since is not None and self._time - self._stood_since > SETTLE * 1e9:
             flags = _F.ERR_INVALID_BEHAVIOR_MODE
             text = f"the Motion Manager went to {self._behavior!r} before the plan's end: {self._reason}"
-        elif self.status is None and now - self._accepted > START:
+        elif self.status is None and self._heard_since is not None and self._time - self._heard_since > START * 1e9:
             flags, text = _F.ERR_UNKNOWN, f"accepted, but the Motion Manager reports no step within {START:g} s"
         else:
             return

@@ -253,9 +253,12 @@ def _start(plan: StepPlan, foot: int, to_odom: Pose | None) -> Pose | None:
     stands = plan.start.right if foot == Foot.RIGHT else plan.start.left
     if not (plan.start.header.frame_id or stands.header.frame_id):
         return None
-    if stands.foot_index != foot:
-        raise _inconsistent(f"start.{FEET[foot]} has foot index {stands.foot_index}; expected {foot}")
-    return _pose(stands.pose, f"start.{FEET[foot]}", to_odom)
+    try:
+        if stands.foot_index != foot:
+            raise _inconsistent(f"start.{FEET[foot]} has foot index {stands.foot_index}; expected {foot}")
+        return _pose(stands.pose, f"start.{FEET[foot]}", to_odom)
+    except PlanError as error:
+        raise PlanError(error.status, ErrorStatus.ERR_INVALID_START, str(error)) from None
 
 
 def _step(step: Step, index: int, limits: Footsteps, to_odom: Pose | None) -> PlannedStep:

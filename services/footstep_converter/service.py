@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 
@@ -22,14 +23,14 @@ from footstep_converter.execution import End, Execution, Outcome, aborted, refus
 from footstep_converter.frames import Frames
 from footstep_converter.motion_system import ANSWER, MotionSystem
 from footstep_converter.plan import Limits, PlanError, PlannedStep, check_size, convert, frame
-from valor_common.messages import FootstepPlanReply
+from valor_common.messages import FootstepPlanReply, StepStatus
 from valor_common.service import Context
 from valor_common.topics import FOOTSTEP_PLAN
 from valor_common.transforms import TooNewError, TransformError
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]
-FEEDBACK_PERIOD = 0.1  # [s]
+FEEDBACK_PERIOD = 0.1  # at most, from one to the next [s]
 STOP_RETRY = 0.5  # from a stop that was not answered to the next [s]
 TRANSFORM_PATIENCE = 1.0  # for a transform as new as a plan's stamp [s]
 
@@ -79,6 +80,7 @@ class FootstepConverter:
         self._handover: _Handover | None = None
         self._goal: Goal | None = None  # whose plan runs
         self._execution: Execution | None = None
+        self._unclaimed: list[StepStatus] | None = None  # words of a plan handed over, before its acceptance is heard
         self._stop_goals: list[Goal] = []  # that asked for the running plan's end
         self._stop: Future[FootstepPlanReply] | None = None  # a stop on its way
         self._stop_wanted = False
@@ -196,13 +198,14 @@ class FootstepConverter:
         if refused is not None:
             self._not_taken(handover, refused)
         elif self._execution is not None:
-            self._update(handover, now)
+            self._update(handover)
         else:
-            self._motion.step_statuses()  # what waits there is about plans before this one
             self._motion.watch(True)
             self._execution = Execution(handover.steps, now)
             self._goal = handover.goal
             self._next_feedback = now
+            self._hear(self._execution, self._goal, self._unclaimed or (), now)
+            self._unclaimed = None
             _log.info("plan of %d steps accepted", len(handover.steps))
         if self._goal is not None and self._goal.cancel_requested:
             self._stop_wanted = True
@@ -234,14 +237,14 @@ class FootstepConverter:
         _log.warning("plan not taken: %s", refused.text)
         handover.goal.end(refused)
 
-    def _update(self, handover: _Handover, now: float) -> None:
+    def _update(self, handover: _Handover) -> None:
         """The Motion Manager took a goal's steps into the running plan: the goal before it has given way."""
         assert self._execution is not None
         assert self._goal is not None
         first = handover.steps[0].index
         text = f"a newer plan took over from step {first} on"
         self._goal.end(aborted(_F.UPDATED_STEP_PLAN, text, ErrorStatus.NO_ERROR), self._execution)
-        self._execution.update(handover.steps, now)
+        self._execution.update(handover.steps)
         self._goal = handover.goal
         _log.info("plan updated from step %d on", first)
 
@@ -251,19 +254,39 @@ class FootstepConverter:
         """What the Motion Manager says of the running plan; feedback; its end."""
         now = time.monotonic()
         self._send_stop(now)
+        statuses = self._motion.step_statuses()
         execution, goal = self._execution, self._goal
         if execution is None or goal is None:
+            self._keep(statuses)
             return
         if (state := self._motion.behavior()) is not None:
             execution.heard_behavior(state.behavior, state.reason, now, state.time)
-        for status in self._motion.step_statuses():
-            execution.heard_status(status, now)
+        self._hear(execution, goal, statuses, now)
         execution.passed(now)
         if execution.outcome is not None:
             self._end(execution, goal, execution.outcome)
         elif now >= self._next_feedback:
             self._next_feedback = max(self._next_feedback + FEEDBACK_PERIOD, now)
             goal.progress(execution)
+
+    def _hear(self, execution: Execution, goal: Goal, statuses: Sequence[StepStatus], now: float) -> None:
+        """Take the Motion Manager's words; of a change the client is told at once, so that it hears of every step."""
+        for status in statuses:
+            told = execution.progress.indices
+            execution.heard_status(status, now)
+            if execution.outcome is None and execution.progress.indices != told:
+                self._next_feedback = now + FEEDBACK_PERIOD
+                goal.progress(execution)
+
+    def _keep(self, statuses: Sequence[StepStatus]) -> None:
+        """Keep what is said of steps begun since a plan of ours was handed over, and none were being taken."""
+        for status in statuses:
+            if status.state != "executing":
+                self._unclaimed = []
+            elif self._unclaimed is not None:
+                self._unclaimed.append(status)
+        if self._handover is None and self._unclaimed:
+            self._unclaimed = None  # somebody else's
 
     def _end(self, execution: Execution, goal: Goal, outcome: Outcome) -> None:
         _log.info("plan %s after %d steps: %s", outcome.end.value, len(execution.plan), outcome.text or "goal reached")

@@ -33,6 +33,7 @@ S = FootstepExecutionStatus
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
 LIMIT = 30.0  # for anything to happen on a loaded machine [s]
+FEEDBACK_PERIOD = 0.1  # [s]
 
 
 class ScriptedMotionManager:
@@ -211,6 +212,33 @@ def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_clie
     assert ros_client.outcome(goal) == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL, "")
     assert goal.result.result.controller_state == ExecuteStepPlan.Feedback.FINISHED
     assert len(motion.requests) == 1
+
+
+def test_feedback_comes_ten_times_a_second_and_with_every_step(
+    motion: ScriptedMotionManager, ros_client: Client
+) -> None:
+    """Counted against a clock of this process, which a busy machine holds up as much."""
+    goal = begin(motion, ros_client)
+    first, began, ticks = len(goal.feedback), time.monotonic(), 0
+    while ticks < 30:
+        time.sleep(FEEDBACK_PERIOD)
+        ticks += 1
+    heard, lasted = len(goal.feedback) - first, time.monotonic() - began
+    assert ticks / 2 < heard <= lasted / FEEDBACK_PERIOD + 2.0
+
+    for executing in range(2, 4):  # two steps within one look of the converter at the Motion Manager
+        motion.says("executing", performed=executing - 1, executing=executing, changeable=executing + 1)
+        assert motion.step_status is not None
+        motion.publish(motion.step_status)
+    motion.says("finished", performed=3)
+    assert ros_client.outcome(goal)[1] == S.REACHED_GOAL
+    indices = [
+        (f.last_performed_step_index, f.currently_executing_step_index, f.first_changeable_step_index)
+        for f in goal.feedback
+        if f.controller_state == f.ACTIVE
+    ]
+    assert {executing for _, executing, _ in indices} >= {1, 2, 3}
+    assert indices == sorted(indices)
 
 
 def test_a_refusal_is_passed_on_word_for_word(motion: ScriptedMotionManager, ros_client: Client) -> None:

@@ -176,8 +176,9 @@ def test_silence_is_named(execution: Execution) -> None:
 
 
 def test_accepted_but_never_begun_is_named(execution: Execution) -> None:
-    hear(execution, "stand", "", 1.1 * START)
-    execution.passed(1.1 * START)
+    hear(execution, "stand", "", 0.1)
+    hear(execution, "stand", "", 0.1 + 1.1 * START)
+    execution.passed(0.1 + 1.1 * START)
     assert execution.outcome is not None
     assert "reports no step" in execution.outcome.text
 
@@ -212,10 +213,16 @@ def test_a_stop_never_confirmed_is_named(execution: Execution) -> None:
 
 
 def test_a_robot_whose_time_goes_by_slowly_is_given_its_time(execution: Execution) -> None:
-    """A stop in a simulation twenty times as slow as the wall: the swing foot comes down when it comes down."""
-    execution.stop_asked(0.5)
-    now, time = 0.6, 100_000_000_000  # the first word comes after the stop
-    while now < 5.0 * STOP:
+    """A simulation twenty times as slow as the wall: steps begin and feet come down in its time."""
+    now, time = 0.1, 99_000_000_000
+    while now < 5.0 * START:
+        execution.heard_behavior("stand", "", now, time)
+        execution.passed(now)
+        assert execution.outcome is None
+        now, time = now + 1.0, time + 50_000_000
+    execution.stop_asked(now)
+    until = now + 5.0 * STOP
+    while now < until:
         execution.heard_behavior("step", "", now, time)
         execution.heard_status(changed(status("executing"), time=time), now)
         execution.passed(now)
@@ -228,7 +235,7 @@ def test_a_robot_whose_time_goes_by_slowly_is_given_its_time(execution: Executio
 
 def test_an_update_moves_the_goal(execution: Execution) -> None:
     execution.heard_status(status("executing", changeable=2), 0.1)
-    execution.update(plan(2, 7), 0.2)
+    execution.update(plan(2, 7))
     assert [step.index for step in execution.plan] == list(range(8))
     execution.heard_status(status("executing", 3), 0.3)
     assert execution.outcome is None

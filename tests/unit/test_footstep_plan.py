@@ -258,6 +258,7 @@ def test_a_broken_plan_is_refused_with_its_own_flag(breaks: Callable[[StepPlan],
     with pytest.raises(PlanError, match=text) as refused:
         convert(plan, LIMITS)
     assert refused.value.status == status
+    assert (refused.value.error == ErrorStatus.ERR_INVALID_START) == text.startswith("start.")
     assert "\n" not in str(refused.value)
 
 

@@ -72,7 +72,9 @@ def walk_plan(
     fsm = BehaviorFsm()
     for behavior in (Behavior.STAND_PREP, Behavior.STAND, Behavior.STEP):
         fsm.go(behavior, "test")
-    handler = FootstepPlanHandler(robot, fsm, queue, Rejections(), lambda: sole_poses(loop.state))
+    handler = FootstepPlanHandler(
+        robot, fsm, queue, Rejections(), lambda: sole_poses(loop.state), recovering=lambda: loop.controller.recovering
+    )
     from_feet, from_true_feet = middle(*_believed(loop)), middle(*_true(loop))
     planned = [(FEET.index(step.foot), from_feet @ step.sole) for step in steps]
     reply = handler.handle(FootstepPlanRequest(steps=_footsteps(steps, planned)), "test")

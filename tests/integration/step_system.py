@@ -1,0 +1,315 @@
+"""A robot that takes footstep plans, a planner's client and an observer: ordinary ROS 2 and real processes throughout.
+
+Nothing here is timed by the wall but what the robot has no part in: a slow machine slows the robot's clock, and how
+long it may take for something is counted in robot time.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from rclpy.action import ActionClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from tf2_msgs.msg import TFMessage
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+from vigir_footstep_planning_msgs.msg import Step, StepPlan
+
+import bifrost
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.system import RosClient
+from valor_common.instance import Instance, Settings
+from valor_common.messages import GroundTruth, MotionState, PushReply, PushRequest, StepStatus
+from valor_common.model import full_model
+from valor_common.poses import Pose
+from valor_common.robot import RobotDescription
+from valor_common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
+from valor_common.transforms import TransformBuffer, TransformError
+from valorctl.step_plan import FEET, PlanStep
+from valorctl.step_planner import middle
+
+ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
+FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+PROCESSES = ("bifrostd", "comms_manager", "motion_manager", "valor_ros_controller", "footstep_converter")
+LIMIT = 120.0  # for anything to happen on a loaded machine that the robot has no part in [s]
+PATIENCE = 60.0  # for what the robot does [robot time, s]
+STILL = 0.01  # a pelvis as slow as that is at rest [m/s]
+
+Soles = tuple[Pose, Pose]  # left, right
+Planned = list[tuple[int, Pose]]  # foot and sole of each step, in odom
+
+
+@dataclass
+class Goal:
+    """A goal sent, and what has been heard of it."""
+
+    handle: Any = None
+    feedback: list[Any] = field(default_factory=list)
+    result: Any = None
+    text: str = ""  # the last words, once the outcome is known
+
+    @property
+    def executing(self) -> int:
+        """Index of the step under way; -1: none yet."""
+        return int(self.feedback[-1].currently_executing_step_index) if self.feedback else -1
+
+    @property
+    def active(self) -> list[Any]:
+        """Feedback while the robot had the plan."""
+        return [each for each in self.feedback if each.controller_state == ExecuteStepPlan.Feedback.ACTIVE]
+
+
+@dataclass(frozen=True)
+class Stance:
+    """Where the feet stand before a plan.
+
+    Attributes:
+        middle: midway between the soles, in odom.
+        to_world: odom in the world.
+    """
+
+    middle: Pose
+    to_world: Pose
+
+
+class Walker:
+    """A system with a robot in it, a planner's client and an observer."""
+
+    def __init__(self, instance: RunningInstance, ros: RosClient) -> None:
+        self.instance = instance
+        self.ros = ros
+        self._action = ActionClient(ros.node, ExecuteStepPlan, ACTION)
+        self._tf = TransformBuffer()
+        self._newest: deque[bytes] = deque(maxlen=5)  # of /tf
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        # A client of an action forgets a goal with its result: feedback that comes behind is for the topic's listeners.
+        self._words: list[Any] = []
+        ros.node.create_subscription(ExecuteStepPlan.Feedback, FEEDBACK, self._words.append, latched)
+        ros.node.create_subscription(TFMessage, "/tf_static", lambda m: self._hear(m, static=True), latched)
+        node = instance.node("observer")
+        self._truth = node.subscriber(GROUND_TRUTH.name, GroundTruth)
+        self._states = node.subscriber(MOTION_STATE.name, MotionState)
+        self._statuses = node.subscriber(STEP_STATUS.name, StepStatus, queue=1000)
+        self._push = node.client(PUSH.name, PushRequest, PushReply)
+        self.statuses: list[StepStatus] = []
+        self._model = full_model(ROBOT)
+        assert self._action.wait_for_server(LIMIT)
+
+    def _keep(self, data: bytes) -> None:
+        self._newest.append(data)
+
+    def _hear(self, message: Any, *, static: bool) -> None:
+        for each in message.transforms:
+            t, r, stamp = each.transform.translation, each.transform.rotation, each.header.stamp
+            pose, at = Pose((t.x, t.y, t.z), (r.w, r.x, r.y, r.z)), stamp.sec * 10**9 + stamp.nanosec
+            self._tf.add(each.header.frame_id, each.child_frame_id, at, pose, static=static)
+
+    # --- the robot ------------------------------------------------------------------------------------------------
+
+    def state(self) -> MotionState:
+        """The newest."""
+        return wait_until(self._states.latest, LIMIT, MOTION_STATE.name, 0.001).message
+
+    def wait(self, condition: Callable[[], object], what: str, period: float = 0.02) -> None:
+        """Wait as long as the robot needs, however slowly its time goes by."""
+        until = self.state().time + round(PATIENCE * 1e9)
+
+        def over() -> bool:
+            assert self.state().time < until, f"not within {PATIENCE:g} s of robot time: {what}"
+            return bool(condition())
+
+        wait_until(over, 10.0 * LIMIT, what, period)
+
+    def rest(self) -> None:
+        """Wait until the robot stands still on both feet."""
+
+        def still() -> bool:
+            state = self.state()
+            return bool(state.contacts.all() and np.abs(state.pelvis_linear_velocity_in_odom).max() < STILL)
+
+        self.wait(still, "the robot at rest")
+
+    def soles(self) -> Soles:
+        """Where they are in odom, by a tf that comes from now on."""
+
+        def look() -> Soles | None:
+            for data in self._newest:
+                self._hear(deserialize_message(data, TFMessage), static=False)
+            try:
+                return self._tf.lookup("odom", "l_sole"), self._tf.lookup("odom", "r_sole")
+            except TransformError:
+                return None
+
+        self._newest.clear()
+        # 250 of them a second are heard only while they are looked at.
+        node = self.ros.node
+        heard = self.ros._call(lambda: node.create_subscription(TFMessage, "/tf", self._keep, 10, raw=True))
+        wait_until(lambda: len(self._newest) > 2, LIMIT, "tf")
+        found = wait_until(lambda: self.ros._call(look), LIMIT, "the soles in tf")
+        self.ros._call(node.destroy_subscription, heard)
+        return found
+
+    def true_soles(self) -> Soles:
+        """Where they are in the world, by the simulator."""
+        self._truth.latest()
+        truth = wait_until(self._truth.latest, LIMIT, GROUND_TRUTH.name).message
+        model, data, feet = self._model, mujoco.MjData(self._model.mj), ROBOT.tables.feet
+        data.qpos[:3] = truth.pelvis_position_in_world
+        data.qpos[3:7] = truth.pelvis_orientation_in_world
+        data.qpos[model.qpos] = truth.joint_position
+        mujoco.mj_kinematics(model.mj, data)
+
+        def pose(name: str) -> Pose:
+            orientation = np.empty(4)
+            mujoco.mju_mat2Quat(orientation, data.site(name).xmat)
+            x, y, z = map(float, data.site(name).xpos)
+            qw, qx, qy, qz = map(float, orientation)
+            return Pose((x, y, z), (qw, qx, qy, qz))
+
+        return pose(feet.left.sole), pose(feet.right.sole)
+
+    def stance(self) -> Stance:
+        """Where the feet stand."""
+        here = middle(*self.soles())
+        return Stance(here, middle(*self.true_soles()) @ here.inverse())
+
+    def push(self, impulse: tuple[float, float, float]) -> None:
+        """Push the chest by an impulse in the world [N·s]."""
+        assert self._push.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=LIMIT).accepted
+
+    def status(self) -> list[StepStatus]:
+        """All that the Motion Manager has said of steps."""
+        self.statuses += [received.message for received in self._statuses.drain()]
+        return self.statuses
+
+    # --- the client -----------------------------------------------------------------------------------------------
+
+    def mode(self, name: str) -> None:
+        """Be in a control mode."""
+        wait_until(lambda: self.ros.change_mode(name, LIMIT).current_control_mode == name, LIMIT, f"mode {name}", 0.2)
+
+    @property
+    def report(self) -> Any:
+        """The VRC's newest, of its control mode."""
+        return self.ros.reports[-1][1]
+
+    def send(self, plan: StepPlan) -> Goal:
+        """Ask for a plan."""
+        goal = Goal()
+        self._words.clear()
+        self.status()
+        self.statuses.clear()
+        future = self.ros._call(
+            self._action.send_goal_async,
+            ExecuteStepPlan.Goal(step_plan=plan),
+            lambda message: goal.feedback.append(message.feedback),
+        )
+        goal.handle = self.ros._wait(future, LIMIT, "the goal's response")
+        ended = self.ros._call(goal.handle.get_result_async)
+        ended.add_done_callback(lambda done: setattr(goal, "result", done.result()))
+        return goal
+
+    def cancel(self, goal: Goal) -> None:
+        """No longer want it."""
+        self.ros._call(goal.handle.cancel_goal_async)
+
+    def outcome(self, goal: Goal) -> tuple[int, int]:
+        """Terminal state and flags."""
+        self.wait(lambda: goal.result, "the goal's result")
+        return self.ended(goal)
+
+    def ended(self, goal: Goal) -> tuple[int, int]:
+        """Terminal state and flags of a goal whose result may take its time, by the wall."""
+        wait_until(lambda: goal.result, LIMIT, "the goal's result")
+        flags = int(goal.result.result.status.status)
+
+        def last_words() -> Any:
+            heard = [*goal.feedback, *self._words]
+            return next((words for words in reversed(heard) if words.stepping_status == flags), None)
+
+        goal.text = wait_until(last_words, LIMIT, "the last words").status.error_msg
+        return goal.result.status, flags
+
+
+def put(steps: Sequence[PlanStep], frame: Pose) -> Planned:
+    """Foot and sole of each step, in the frame that ``frame`` is in."""
+    return [(FEET.index(step.foot), frame @ step.sole) for step in steps]
+
+
+def message(planned: Planned, like: PlanStep | Sequence[PlanStep], first: int = 0, frame: str = "odom") -> StepPlan:
+    """A plan from index ``first`` on; durations and heights are those of ``like``, of one for all or of each."""
+    plan = StepPlan()
+    plan.header.frame_id = frame
+    likes = [like] * len(planned) if isinstance(like, PlanStep) else like
+    for index, (step, (foot, sole)) in enumerate(zip(likes, planned, strict=True), first):
+        made = Step(step_index=index, valid=True, swing_height=step.swing_height)
+        made.step_duration, made.sway_duration = step.step_duration, step.sway_duration
+        made.foot.foot_index = foot
+        p, q = made.foot.pose.position, made.foot.pose.orientation
+        p.x, p.y, p.z = sole.position
+        q.w, q.x, q.y, q.z = sole.orientation
+        plan.steps.append(made)
+    return plan
+
+
+def pose_of(step: Step) -> Pose:
+    """Of its sole."""
+    p, q = step.foot.pose.position, step.foot.pose.orientation
+    return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
+
+
+def error(sole: Pose, place: Pose) -> tuple[float, float]:
+    """Distance [m] and turn [rad] of a sole from its place."""
+    return math.dist(sole.position, place.position), abs(math.remainder(sole.yaw - place.yaw, math.tau))
+
+
+@contextmanager
+def system(name: str, number: int, **settings: object) -> Iterator[Walker]:
+    """All processes but the recorder, free-running, the robot standing.
+
+    Args:
+        name: of the instance.
+        number: of the system in this test process, for a ROS domain of its own.
+        settings: of the instance.
+    """
+    domain = 102 + (os.getpid() + 20 + number) % 60  # away from those that instances choose (1 to 101)
+    home = Path(tempfile.mkdtemp(prefix="valor-"))
+    made = Instance(name, home)
+    made.logs.mkdir(parents=True)
+    made.bags.mkdir()
+    made.settings_file.write_text(
+        Settings(
+            robot=ROBOTS / "escher", ros_domain_id=domain, real_time_factor=0.0, **settings  # type: ignore[arg-type]
+        ).model_dump_json()
+    )  # fmt: skip
+    instance = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
+    ros = None
+    try:
+        for process in PROCESSES:
+            instance.start(process)
+        for process in PROCESSES[1:]:
+            instance.wait_ready(process, LIMIT)
+        ros = RosClient(instance.environment, joint_states=False)
+        walker = Walker(instance, ros)
+        walker.mode("stand")
+        walker.rest()
+        yield walker
+    finally:
+        if ros is not None:
+            ros.close()
+        instance.close()
+        for process in PROCESSES:  # shown with a case that fails
+            print(f"--- {process}\n{instance.log(process)}")
+        shutil.rmtree(home, ignore_errors=True)
