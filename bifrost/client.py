@@ -77,21 +77,13 @@ class Client(Generic[M, R]):
             RemoteError: the server refused the request, or its handler raised.
             TypeError: the request is of another type, or a field does not hold what its type says.
         """
-        payload = self._encode(request)
-        self._asked = self._answer = None
-        deadline = time.monotonic() + timeout
-        socket, server = self._ready_socket(deadline, timeout)
-        try:
-            socket.send(self._frame(payload, deadline), zmq.NOBLOCK)
-            while (remaining := deadline - time.monotonic()) > 0.0:
-                if socket.poll(int(remaining * 1000) + 1):
-                    reply = self._take(socket.recv(), server)
-                    if reply is not None:
-                        return reply
-        except zmq.Again:
-            pass
-        self._disconnect()  # what it may still hold must not be sent later
-        raise TimeoutError(f"{self.topic}: no reply from {server.node} within {timeout:g} s")
+        self.ask(request, timeout)
+        while self._asked is not None:
+            self._wait(self._asked)
+            self._advance()
+        answer = self.answer()
+        assert answer is not None
+        return answer
 
     def ask(self, request: M, timeout: float = 1.0) -> None:
         """Send a request without waiting for anything; ``answer`` tells what became of it. Never blocks.
@@ -105,8 +97,11 @@ class Client(Generic[M, R]):
         Raises:
             TypeError: as ``call``.
         """
+        if type(request) is not self._request_type:
+            raise TypeError(f"{self.topic}: expected {self._request.name}, got {type(request).__name__}")
+        payload = self._request.encode(request)
         self._answer = None
-        self._asked = _Asked(self._encode(request), time.monotonic() + timeout, timeout)
+        self._asked = _Asked(payload, time.monotonic() + timeout, timeout)
         self._advance()
 
     def answer(self) -> R | None:
@@ -161,10 +156,15 @@ class Client(Generic[M, R]):
             self._disconnect()
             self._node.forget(self)
 
-    def _encode(self, request: M) -> bytes:
-        if type(request) is not self._request_type:
-            raise TypeError(f"{self.topic}: expected {self._request.name}, got {type(request).__name__}")
-        return self._request.encode(request)
+    def _wait(self, asked: _Asked) -> None:
+        """Wait until an open question may go on."""
+        remaining = max(0.0, asked.deadline - time.monotonic())
+        if self._socket is not None and asked.server is not None:
+            self._socket.poll(int(remaining * 1000) + 1)
+        elif self._socket is not None and self._watch.peers:
+            self._socket.poll(int(min(_SLICE, remaining) * 1000) + 1, zmq.POLLOUT)
+        else:
+            self.wait_for_server(remaining)
 
     def _frame(self, payload: bytes, deadline: float) -> bytes:
         """The next request as it is sent."""
@@ -206,16 +206,13 @@ class Client(Generic[M, R]):
         asked.server = peers[-1]
 
     def _too_late(self, asked: _Asked) -> Error:
-        peers = self._watch.peers
+        within, peers = f"within {asked.timeout:g} s", self._watch.peers
         if asked.server is not None:
-            return TimeoutError(f"{self.topic}: no reply from {asked.server.node} within {asked.timeout:g} s")
+            return TimeoutError(f"{self.topic}: no reply from {asked.server.node} {within}")
         if peers:
-            return TimeoutError(f"{self.topic}: no connection to {peers[-1].node} within {asked.timeout:g} s")
-        return self._no_server(asked.timeout)
-
-    def _no_server(self, timeout: float) -> NoServerError:
+            return TimeoutError(f"{self.topic}: no connection to {peers[-1].node} {within}")
         daemon = "" if self._node.discovery.connected else f"; {self._node.daemon_silent}"
-        return NoServerError(f"{self.topic}: no server within {timeout:g} s{daemon}")
+        return NoServerError(f"{self.topic}: no server {within}{daemon}")
 
     def _check(self, peer: Peer) -> None:
         if peer.entry.hashes != self._hashes:
@@ -224,25 +221,6 @@ class Client(Generic[M, R]):
                 f"({' -> '.join(peer.entry.hashes)}), {self._node.name} asks with "
                 f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
             )
-
-    def _ready_socket(self, deadline: float, timeout: float) -> tuple[zmq.Socket[bytes], Peer]:
-        """A socket with a live connection to the newest server."""
-        peer: Peer | None = None
-        while (remaining := deadline - time.monotonic()) > 0.0:
-            if not self.wait_for_server(remaining):
-                break
-            peers = self._watch.peers
-            if not peers:
-                continue
-            peer = peers[-1]
-            self._check(peer)
-            socket = self._connect(peer.entry.endpoint)
-            if socket.poll(int(min(_SLICE, remaining) * 1000) + 1, zmq.POLLOUT):
-                return socket, peer
-        if peer is None:
-            raise self._no_server(timeout)
-        self._disconnect()
-        raise TimeoutError(f"{self.topic}: no connection to {peer.node} within {timeout:g} s")
 
     def _connect(self, endpoint: str) -> zmq.Socket[bytes]:
         if self._socket is not None and endpoint == self._endpoint:

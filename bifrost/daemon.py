@@ -24,7 +24,7 @@ from bifrost import directory as d
 from bifrost.errors import ConfigurationError
 from bifrost.link import Link
 from bifrost.network import Network
-from bifrost.security import Gate, listening_socket
+from bifrost.security import Gate, listening_socket, new_context
 
 _log = logging.getLogger("bifrostd")
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG
@@ -52,7 +52,7 @@ class Daemon:
     """
 
     def __init__(self, network: Network) -> None:
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._context = new_context()
         self._links: list[Link] = []
         self._gate = Gate(self._context, network)
         self._socket = listening_socket(self._context, zmq.ROUTER, network)

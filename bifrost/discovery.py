@@ -22,6 +22,8 @@ from bifrost.network import Network
 from bifrost.schema import Schema
 from bifrost.security import Gate, connecting_socket
 
+# Between two registrations, each of which tells all nodes of everything that this one has; for each of its entries [s].
+_REST = 1e-4
 WAKE_ENDPOINT = "inproc://bifrost.wake"
 Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
 
@@ -44,6 +46,7 @@ class Discovery:
         self._attended: dict[int, Callable[[], None]] = {}
         self._poller = zmq.Poller()
         self._dirty = False
+        self._next_registration = 0.0
         self._closing = False
         self._neighbors = Neighbors()
         self._heard = 0.0  # when the daemon last said anything
@@ -70,7 +73,8 @@ class Discovery:
             self._schemas[self._next_key] = described
             if counter is not None:
                 self._counters[self._next_key] = counter
-            self._own_changed(entry)
+            self._neighbors.add_own(self._bare_record, entry)
+            self._own_changed()
             return self._next_key
 
     def withdraw(self, key: int) -> None:
@@ -80,7 +84,8 @@ class Discovery:
             if entry is not None:
                 self._schemas.pop(key)
                 self._counters.pop(key, None)
-                self._own_changed(entry)
+                self._neighbors.remove_own(entry)
+                self._own_changed()
 
     def watch(self, kind: d.Kind, topic: str, notify: Callable[[], None] | None = None) -> Watch:
         """Keep an eye on a topic's publishers or servers.
@@ -155,9 +160,8 @@ class Discovery:
 
     # --- with the lock held ---------------------------------------------------------------------------------------
 
-    def _own_changed(self, entry: d.Entry) -> None:
+    def _own_changed(self) -> None:
         self._dirty = True
-        self._neighbors.put_own(self._bare_record, self._entries, entry)
         self._refresh()
         self._poke_thread()
 
@@ -184,7 +188,8 @@ class Discovery:
                 if now >= next_heartbeat:
                     self._heartbeat()
                     next_heartbeat = now + d.HEARTBEAT_PERIOD
-                ready = dict(self._poller.poll(max(1, int((next_heartbeat - now) * 1000) + 1)))
+                until = min(next_heartbeat, self._next_registration) if self._dirty else next_heartbeat
+                ready = dict(self._poller.poll(max(0, int((until - now) * 1000)) + 1))
                 if self._gate.socket in ready:
                     self._gate.answer()
                 if self._poke in ready:
@@ -193,9 +198,8 @@ class Discovery:
                     self._receive_subscriptions()
                 if self._daemon in ready:
                     self._receive_from_daemon()
-                for descriptor, callback in self._attended.items():
-                    if descriptor in ready:
-                        callback()
+                for descriptor in ready.keys() & self._attended.keys():
+                    self._attended[descriptor]()
                 self._run_errands()
                 self._forget_departed()
                 self._register_if_dirty()
@@ -231,13 +235,16 @@ class Discovery:
         return [d.Count(entry.kind, entry.topic, *counter()) for entry, counter in counters]
 
     def _register_if_dirty(self) -> None:
+        now = time.monotonic()
         with self._lock:
-            if not self._dirty:
+            if not self._dirty or now < self._next_registration:
                 return
             self._dirty = False
             record = self._record()
+        self._next_registration = now + _REST * len(record.entries)
         if not self._send(d.Register(record)):
             self._dirty = True
+            self._next_registration = now + d.HEARTBEAT_PERIOD
 
     def _receive_subscriptions(self) -> None:
         """A subscriber has subscribed to the wake socket: wake it, lest it has missed an earlier wake."""

@@ -93,8 +93,8 @@ class Intake:
         self._connected: set[str] = set()
         self._warned: set[bytes | str] = set()
         self._timeout = -2
-        self._watch = node.discovery.watch("publisher", topic)
         self.socket = node.connecting_socket(zmq.SUB)
+        self._watch = node.discovery.watch("publisher", topic)
         if queue is None:
             self.socket.setsockopt(zmq.CONFLATE, 1)
         else:

@@ -64,9 +64,9 @@ class Neighbors:
         self.epoch = 0
         self.version = -1
         self._departed: dict[int, _Departed] = {}
-        self._own: dict[int, d.Entry] = {}
         self._own_record: d.NodeRecord | None = None
-        self._ends: dict[_Key, dict[int, None]] = {}  # the incarnations that have such an entry
+        self._own: dict[_Key, list[d.Entry]] = {}
+        self._ends: dict[_Key, dict[int, list[d.Entry]]] = {}  # by incarnation of the others, departed ones included
         self._watches: dict[_Key, list[Watch]] = {}
         self._changed: set[_Key] = set()
 
@@ -88,12 +88,14 @@ class Neighbors:
         departed = self._departed.pop(incarnation, None)
         old = departed.record if departed else self.nodes.get(incarnation)
         self.nodes[incarnation] = record
-        before = {(entry.kind, entry.topic) for entry in old.entries} if old else set()
-        now = {(entry.kind, entry.topic) for entry in record.entries}
-        self._unindex(incarnation, before - now)
-        for key in now:
-            self._ends.setdefault(key, {})[incarnation] = None
-        self._changed |= before | now
+        before = _by_key(old.entries) if old else {}
+        now = _by_key(record.entries)
+        self._unindex(incarnation, before.keys() - now.keys())
+        for key, entries in now.items():
+            self._ends.setdefault(key, {})[incarnation] = entries
+        # Of a node with a thousand topics, one of which is new, no other is looked at again.
+        every = before.keys() | now.keys()
+        self._changed |= every if departed else {key for key in every if before.get(key) != now.get(key)}
 
     def depart(self, incarnation: int, reason: d.Reason) -> None:
         """A node is no longer in the table. Whoever is connected to it may stay so for a while."""
@@ -102,21 +104,30 @@ class Neighbors:
             record = self._departed[incarnation].record
         if record is not None:
             self._departed[incarnation] = _Departed(record, time.monotonic() + _KEPT[reason], reason in _MAYBE_ALIVE)
-            self._changed |= {(entry.kind, entry.topic) for entry in record.entries}
+            self._changed |= _by_key(record.entries).keys()
 
     def forget_departed(self) -> None:
         """Let go of those whose time is over."""
         now = time.monotonic()
         for incarnation in [i for i, departed in self._departed.items() if now > departed.until]:
             record = self._departed.pop(incarnation).record
-            keys = {(entry.kind, entry.topic) for entry in record.entries}
+            keys = _by_key(record.entries).keys()
             self._unindex(incarnation, keys)
             self._changed |= keys
 
-    def put_own(self, record: d.NodeRecord, entries: dict[int, d.Entry], changed: d.Entry) -> None:
-        """This node's own entries have changed by one. ``record`` needs no entries; they are in ``entries``."""
-        self._own_record, self._own = record, entries
-        self._changed.add((changed.kind, changed.topic))
+    def add_own(self, record: d.NodeRecord, entry: d.Entry) -> None:
+        """This node has one entry more. ``record`` tells of the node alone: its entries are not looked at."""
+        self._own_record = record
+        self._own.setdefault((entry.kind, entry.topic), []).append(entry)
+        self._changed.add((entry.kind, entry.topic))
+
+    def remove_own(self, entry: d.Entry) -> None:
+        """This node has one entry less."""
+        key = (entry.kind, entry.topic)
+        self._own[key].remove(entry)
+        if not self._own[key]:
+            del self._own[key]
+        self._changed.add(key)
 
     def _unindex(self, incarnation: int, keys: Iterable[_Key]) -> None:
         for key in keys:
@@ -167,22 +178,24 @@ class Neighbors:
     def _peers(self, kind: d.Kind, topic: str) -> tuple[Peer, ...]:
         """Those in the table last, of these the node started last; of the departed, those that matter."""
         found: list[tuple[bool, Peer]] = []
-        for incarnation in self._ends.get((kind, topic), ()):
+        for incarnation, entries in self._ends.get((kind, topic), {}).items():
             departed = self._departed.get(incarnation)
             record = departed.record if departed else self.nodes[incarnation]
             alive = departed is None or departed.alive
             if alive or kind == "publisher":
-                found += [(departed is None, peer) for peer in _matching(record, record.entries, kind, topic, alive)]
+                found += [(departed is None, _peer(record, entry, alive)) for entry in entries]
         if self._own_record is not None:
-            own = _matching(self._own_record, self._own.values(), kind, topic, True)
-            found += [(True, peer) for peer in own]
+            found += [(True, _peer(self._own_record, entry, True)) for entry in self._own.get((kind, topic), ())]
         found.sort(key=lambda pair: (pair[0], pair[1].started))
         return tuple(peer for _, peer in found)
 
 
-def _matching(record: d.NodeRecord, entries: Iterable[d.Entry], kind: d.Kind, topic: str, alive: bool) -> list[Peer]:
-    return [
-        Peer(record.name, record.incarnation, record.computer, record.started, entry, alive)
-        for entry in entries
-        if entry.kind == kind and entry.topic == topic
-    ]
+def _peer(record: d.NodeRecord, entry: d.Entry, alive: bool) -> Peer:
+    return Peer(record.name, record.incarnation, record.computer, record.started, entry, alive)
+
+
+def _by_key(entries: Iterable[d.Entry]) -> dict[_Key, list[d.Entry]]:
+    found: dict[_Key, list[d.Entry]] = {}
+    for entry in entries:
+        found.setdefault((entry.kind, entry.topic), []).append(entry)
+    return found

@@ -53,7 +53,7 @@ class Node:
         self.name = name
         self.network = network or Network.from_environment()
         self._lock = threading.Lock()
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._context = security.new_context()
         self._children: list[_Closable] = []
         self._outlet: Outlet | None = None
         self._closed = False

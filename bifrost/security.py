@@ -6,18 +6,40 @@ to a socket without it.
 
 from __future__ import annotations
 
+import errno
+import resource
+
 import zmq
 from zmq.utils import z85
 
+from bifrost.errors import Error
 from bifrost.network import Network
 from bifrost.wire import MAX_MESSAGE_SIZE
 
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"  # fixed by ZeroMQ RFC 27
 _ZAP_DOMAIN = b"bifrost"
 _CURVE_KEY_LENGTH = 32
+MAX_SOCKETS = 4096  # of a context
 
 
-def _common(socket: zmq.Socket[bytes]) -> None:
+def new_context() -> zmq.Context[zmq.Socket[bytes]]:
+    """A context that has room for a subscriber to each of some thousand topics."""
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    context.set(zmq.MAX_SOCKETS, MAX_SOCKETS)
+    return context
+
+
+def _open(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socket[bytes]:
+    try:
+        socket = context.socket(kind)
+    except zmq.ZMQError as error:
+        if error.errno != errno.EMFILE:
+            raise
+        descriptors = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        raise Error(
+            f"cannot open another socket: {error.strerror}; at most {MAX_SOCKETS} a node, and {descriptors} file "
+            "descriptors (RLIMIT_NOFILE), of which each takes two"
+        ) from None
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_SIZE)
     socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
@@ -28,12 +50,16 @@ def _common(socket: zmq.Socket[bytes]) -> None:
     socket.setsockopt(zmq.CONNECT_TIMEOUT, 2000)
     socket.setsockopt(zmq.RECONNECT_IVL, 50)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
+    return socket
 
 
 def listening_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network: Network) -> zmq.Socket[bytes]:
-    """A socket to bind: admits holders of the network's client key alone."""
-    socket = context.socket(kind)
-    _common(socket)
+    """A socket to bind: admits holders of the network's client key alone.
+
+    Raises:
+        Error: there are too many already.
+    """
+    socket = _open(context, kind)
     socket.setsockopt(zmq.CURVE_SERVER, 1)
     socket.setsockopt(zmq.CURVE_SECRETKEY, network.server.secret)
     socket.setsockopt(zmq.ZAP_DOMAIN, _ZAP_DOMAIN)
@@ -42,9 +68,12 @@ def listening_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network
 
 
 def connecting_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network: Network) -> zmq.Socket[bytes]:
-    """A socket to connect: talks to holders of the network's server key alone."""
-    socket = context.socket(kind)
-    _common(socket)
+    """A socket to connect: talks to holders of the network's server key alone.
+
+    Raises:
+        Error: there are too many already.
+    """
+    socket = _open(context, kind)
     socket.setsockopt(zmq.CURVE_SERVERKEY, network.server.public)
     socket.setsockopt(zmq.CURVE_PUBLICKEY, network.client.public)
     socket.setsockopt(zmq.CURVE_SECRETKEY, network.client.secret)
@@ -61,8 +90,15 @@ class Gate:
         self._admitted = z85.decode(network.client.public)
 
     def answer(self) -> None:
-        """Answer the question that waits."""
-        request = self.socket.recv_multipart()
+        """Answer all questions that wait."""
+        while True:
+            try:
+                request = self.socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            self._answer(request)
+
+    def _answer(self, request: list[bytes]) -> None:
         request_id = request[1] if len(request) > 1 else b""
         admitted = (
             len(request) == 7

@@ -49,28 +49,32 @@ def wait(items: Sequence[W], timeout: float | None = None) -> list[W]:
     deadline = None if timeout is None else time.monotonic() + timeout
     while True:
         # Nearly all are never impatient and always poll the same; a client's socket comes and goes.
+        pollables = [item.pollable for item in items]
         remaining = None if deadline is None else max(0.0, deadline - time.monotonic())
-        shortest, impatient, polled = remaining, [], []
+        shortest, patient = remaining, True
         for item in items:
-            pollable, patience = item.pollable, item.patience()
-            if pollable is not None:
-                polled.append((pollable, zmq.POLLIN))
+            patience = item.patience()
             if patience is not None:
-                impatient.append(item)
+                patient = False
                 shortest = patience if shortest is None else min(shortest, patience)
             if item.holding():
-                shortest = 0.0
+                patient, shortest = False, 0.0
         milliseconds = -1 if shortest is None else 0 if shortest <= 0.0 else int(shortest * 1000.0) + 1
+        polled = [(pollable, zmq.POLLIN) for pollable in pollables if pollable is not None]
         if not polled and milliseconds:
             if milliseconds < 0:
                 raise ValueError("wait: nothing to wait for, and no time limit")
             time.sleep(milliseconds / 1000.0)
-        polled_ready = dict(zmq.zmq_poll(polled, milliseconds))
+        woken = dict(zmq.zmq_poll(polled, milliseconds))
         # A socket may have woken for news of publishers, or for a message that is refused: nothing for the caller.
         ready = [
             item
-            for item in items
-            if item.holding() or ((item in impatient or item.pollable in polled_ready) and item.ready())
+            for item, pollable in zip(items, pollables, strict=True)
+            if (pollable in woken or not patient) and _has_something(item, pollable in woken)
         ]
         if ready or (remaining is not None and remaining <= 0.0):
             return ready
+
+
+def _has_something(item: Waitable, woken: bool) -> bool:
+    return item.holding() or ((woken or item.patience() is not None) and item.ready())

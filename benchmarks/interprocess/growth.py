@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,10 @@ class Crowd:
         """How many of the subscribers have heard anything."""
         return len(self._heard)
 
+    def silent(self) -> list[int]:
+        """Which have not."""
+        return [i for i in range(len(self._subscribers)) if i not in self._heard]
+
     def take(self) -> list[int]:
         """Latencies since this was last asked [ns]."""
         taken = self._latencies.copy()
@@ -87,11 +91,11 @@ class Crowd:
             time.sleep(max(0.0, due - time.monotonic()))
         return count
 
-    def publish(self, count: int, rate: float, publishers: int) -> list[float]:
-        """Publish with the first of the publishers; how long each call took [s]."""
+    def publish(self, count: int, rate: float, publishers: Sequence[int] = (0,)) -> list[float]:
+        """Publish with some of the publishers; how long each call took [s]."""
         message, took, due = proprioceptor(), [], time.monotonic()
         for _ in range(count):
-            for publisher in self._publishers[:publishers]:
+            for publisher in [self._publishers[i] for i in publishers]:
                 message.time = time.monotonic_ns()
                 before = time.perf_counter()
                 publisher.publish(message)
@@ -145,11 +149,11 @@ def _subscribers(folder: Path, numbers: list[int], daemon: psutil.Process) -> li
                 crowd.do("subscribe_to", ["benchmark/state"])
             deadline = time.monotonic() + _PATIENCE
             while sum(crowd.do("heard") for crowd in crowds) < number and time.monotonic() < deadline:
-                publisher.do("publish", 1, 50.0, 1)
+                publisher.do("publish", 1, 50.0)
             for crowd in crowds:
                 crowd.do("take")
             before = publisher.do("cpu")
-            took = publisher.do("publish", 100, 50.0, 1)
+            took = publisher.do("publish", 100, 50.0)
             cpu = publisher.do("cpu") - before
             latencies = [latency / 1e3 for crowd in crowds for latency in crowd.do("take")]
             row = {"subscribers": number, "publish": _median(took) * 1e6, "cpu": cpu / len(took) * 1e6}
@@ -176,11 +180,11 @@ def _topics(folder: Path, numbers: list[int], daemon: psutil.Process) -> list[di
             subscriber.start("subscribe_to", topics)
             publisher.finish()
             subscriber.finish()
-            while subscriber.do("heard") < number and time.monotonic() < start + _PATIENCE:
-                publisher.do("publish", 1, 10.0, number)
-            discovery = time.monotonic() - start
+            while (silent := subscriber.do("silent")) and time.monotonic() < start + _PATIENCE:
+                publisher.do("publish", 1, 10.0, silent)
+            discovery = time.monotonic() - start if not silent else float("nan")
             subscriber.do("take")
-            publisher.do("publish", 100, 100.0, 1)
+            publisher.do("publish", 100, 100.0)
             latency = _median(subscriber.do("take")) / 1e3
             row = {"topics": number, "discovery": discovery, "latency": latency}
             row |= {"publisher_memory": publisher.do("memory"), "subscriber_memory": subscriber.do("memory")}
@@ -226,10 +230,10 @@ def _coming_and_going(folder: Path, seconds: list[int], daemon: psutil.Process) 
             listener.do("subscribe_to", ["benchmark/state"], 10_000)
             deadline = time.monotonic() + _PATIENCE
             while not listener.do("heard") and time.monotonic() < deadline:
-                publisher.do("publish", 1, 50.0, 1)
+                publisher.do("publish", 1, 50.0)
             listener.do("take")
             cpu, memory = sum(daemon.cpu_times()[:2]), daemon.memory_info().rss
-            publisher.start("publish", 200 * duration, 200.0, 1)
+            publisher.start("publish", 200 * duration, 200.0)
             for guest in guests:
                 guest.start("come_and_go", float(duration), 24.0 / len(guests))
             joined = sum(guest.finish() for guest in guests)
@@ -251,13 +255,15 @@ def measure(folder: Path, daemon_pid: int, quick: bool) -> dict[str, Any]:
     """Print four tables; returns them for JSON."""
     daemon = psutil.Process(daemon_pid)
     few, many, most = ([1, 10], [1, 100], [1, 20]) if quick else ([1, 10, 100], [1, 100, 1000], [1, 10, 100])
+    longest = [5] if quick else [60]
     results = {}
     for name, part, numbers in (
         ("subscribers", _subscribers, few),
         ("topics", _topics, many),
         ("joining", _joining, most),
+        ("coming and going", _coming_and_going, longest),
     ):
-        place = folder / name
+        place = folder / name.replace(" ", "_")
         place.mkdir()
         try:
             results[name] = part(place, numbers, daemon)

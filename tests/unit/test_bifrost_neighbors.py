@@ -1,0 +1,144 @@
+"""The index of who is there, by topic, against a look at everything."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from bifrost import directory as d
+from bifrost import neighbors as module
+from bifrost.neighbors import Neighbors, Watch
+
+_ENTRIES = st.lists(
+    st.builds(
+        d.Entry,
+        kind=st.sampled_from(["publisher", "subscriber", "server"]),
+        topic=st.sampled_from(["a", "b", "c"]),
+        types=st.just(("T",)),
+        hashes=st.just(("00",)),
+        endpoint=st.sampled_from(["tcp://1", "tcp://2"]),
+    ),
+    max_size=4,
+).map(tuple)
+_INCARNATIONS = st.integers(1, 4)
+_REASONS = st.sampled_from(["left", "lost", "silent", "forgotten", "unreachable"])
+_MAYBE_ALIVE = ("silent", "forgotten", "unreachable")
+_KEYS = [(kind, topic) for kind in ("publisher", "server") for topic in "abc"]
+
+
+def _record(incarnation: int, entries: tuple[d.Entry, ...]) -> d.NodeRecord:
+    return d.NodeRecord(f"node_{incarnation}", incarnation, 1, "localhost", 10 - incarnation, entries)
+
+
+class Model(RuleBasedStateMachine):
+    """Nodes come, change, go and are forgotten; every watch shows what a look at everybody would."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.neighbors = Neighbors()
+        self.present: dict[int, tuple[d.Entry, ...]] = {}
+        self.departed: dict[int, tuple[tuple[d.Entry, ...], bool]] = {}
+        self.own: list[d.Entry] = []
+        self.told: dict[tuple[str, str], int] = dict.fromkeys(_KEYS, 0)
+        self.seen = dict.fromkeys(_KEYS, ((), 0))
+        self.watches = {}
+        for kind, topic in _KEYS:
+            self.watches[kind, topic] = Watch(kind, topic, lambda key=(kind, topic): self._tell(key))
+            self.neighbors.watch(self.watches[kind, topic])
+
+    def _tell(self, key: tuple[str, str]) -> None:
+        self.told[key] += 1
+
+    @rule(incarnation=_INCARNATIONS, entries=_ENTRIES)
+    def put(self, incarnation: int, entries: tuple[d.Entry, ...]) -> None:
+        self.neighbors.put(_record(incarnation, entries))
+        self.departed.pop(incarnation, None)
+        self.present[incarnation] = entries
+
+    @rule(incarnation=_INCARNATIONS, reason=_REASONS)
+    def depart(self, incarnation: int, reason: d.Reason) -> None:
+        self.neighbors.depart(incarnation, reason)
+        entries = self.present.pop(incarnation, None)
+        if entries is None and incarnation in self.departed:
+            entries = self.departed[incarnation][0]
+        if entries is not None:
+            self.departed[incarnation] = (entries, reason in _MAYBE_ALIVE)
+
+    @rule(table=st.dictionaries(_INCARNATIONS, _ENTRIES), known=st.booleans())
+    def replace(self, table: dict[int, tuple[d.Entry, ...]], known: bool) -> None:
+        epoch = self.neighbors.epoch if known else self.neighbors.epoch + 1
+        self.neighbors.replace([_record(i, entries) for i, entries in table.items()], epoch, 1)
+        for incarnation in self.present.keys() - table.keys():
+            self.departed[incarnation] = (self.present[incarnation], not known)
+        self.present = dict(table)
+        for incarnation in table:
+            self.departed.pop(incarnation, None)
+
+    @rule(entries=_ENTRIES)
+    def add_own(self, entries: tuple[d.Entry, ...]) -> None:
+        for entry in entries:
+            self.neighbors.add_own(_record(5, ()), entry)
+            self.own.append(entry)
+
+    @precondition(lambda self: self.own)
+    @rule(data=st.data())
+    def remove_own(self, data: st.DataObject) -> None:
+        entry = data.draw(st.sampled_from(self.own))
+        self.neighbors.remove_own(entry)
+        self.own.remove(entry)
+
+    @rule()
+    def forget(self) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module.time, "monotonic", lambda: 1e12)
+            self.neighbors.forget_departed()
+        self.departed.clear()
+
+    @invariant()
+    def every_watch_shows_what_is(self) -> None:
+        self.neighbors.refresh()
+        for (kind, topic), watch in self.watches.items():
+            expected = {
+                (incarnation, entry.endpoint, alive)
+                for incarnation, entries, alive in (
+                    *((i, entries, True) for i, entries in self.present.items()),
+                    *((i, entries, alive) for i, (entries, alive) in self.departed.items()),
+                    (5, tuple(self.own), True),
+                )
+                for entry in entries
+                if (entry.kind, entry.topic) == (kind, topic) and (alive or kind == "publisher")
+            }
+            assert {(peer.incarnation, peer.entry.endpoint, peer.alive) for peer in watch.peers} == expected
+            # Those in the table come last, the one started last at the end: it is the one to call.
+            order = [(peer.incarnation not in self.departed, peer.started) for peer in watch.peers]
+            assert order == sorted(order)
+            # Its owner is told when, and only when, there is something new to see.
+            before, told = self.seen[kind, topic]
+            assert (self.told[kind, topic] > told) == (watch.peers != before)
+            self.seen[kind, topic] = (watch.peers, self.told[kind, topic])
+
+
+TestNeighbors = Model.TestCase
+TestNeighbors.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
+
+
+@given(st.integers(2, 300))
+@settings(max_examples=10, deadline=None)
+def test_of_a_node_with_many_topics_only_those_that_change_are_looked_at(number: int) -> None:
+    def entry(i: int, endpoint: str = "tcp://1") -> d.Entry:
+        return d.Entry("publisher", f"topic_{i}", ("T",), ("00",), endpoint)
+
+    neighbors, looked = Neighbors(), []
+    neighbors.put(_record(1, tuple(entry(i) for i in range(number))))
+    for i in range(number):
+        neighbors.watch(Watch("publisher", f"topic_{i}", lambda i=i: looked.append(i)))
+    neighbors.refresh()
+    neighbors.put(_record(1, tuple(entry(i, "tcp://2" if i == number // 2 else "tcp://1") for i in range(number))))
+    with pytest.MonkeyPatch.context() as patch:
+        peers, counted = neighbors._peers, []
+        patch.setattr(neighbors, "_peers", lambda *key: counted.append(key) or peers(*key))
+        neighbors.refresh()
+    assert looked == [number // 2]
+    assert counted == [("publisher", f"topic_{number // 2}")]
