@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from valor_analysis.errors import BagError
 from valor_analysis.ros_types import Types
-from valor_analysis.stored import StoredBag, StoredTopic
+from valor_analysis.stored import StoredBag, StoredMessage
 
 Array = npt.NDArray[np.float64]
 _NANO = 1e-9
@@ -32,15 +32,17 @@ class Series:
         type: ROS type, such as ``valor_msgs/msg/Motor``.
         messages: with the fields of the type, n of them.
         received: (n,) when the recorder had them, wall clock [s].
+        sent: (n,) when they were published, wall clock [s].
     """
 
-    def __init__(self, topic: str, type_name: str, messages: Sequence[Any], received: Array) -> None:
+    def __init__(self, topic: str, type_name: str, messages: Sequence[Any], received: Array, sent: Array) -> None:
         self.topic = topic
         self.type = type_name
         self.messages = messages
         self.received = received
+        self.sent = sent
         self._columns: dict[str, Array] = {}
-        self._by_joint: dict[str, dict[str, tuple[Array, Array]]] = {}
+        self._by_joint: dict[str, dict[str, tuple[npt.NDArray[np.intp], Array]]] = {}
 
     def __len__(self) -> int:
         return len(self.messages)
@@ -73,18 +75,26 @@ class Series:
         """A field of text, as (n,)."""
         return np.array([_get(message, field) for message in self.messages])
 
-    def by_joint(self, field: str = "position") -> dict[str, tuple[Array, Array]]:
-        """Of messages that carry joint names with their values: times [s] and values, by joint."""
+    def by_joint(self, field: str = "position", times: Array | None = None) -> dict[str, tuple[Array, Array]]:
+        """Of messages that carry joint names with their values: times [s] and values, by joint.
+
+        Args:
+            field: of the values.
+            times: (n,) of the messages; ``time`` unless given.
+        """
         if field not in self._by_joint:
             key = "names" if hasattr(self.messages[0], "names") else "name"
-            times: dict[str, list[float]] = {}
+            rows: dict[str, list[int]] = {}
             values: dict[str, list[float]] = {}
-            for at, message in zip(self.time.tolist(), self.messages, strict=True):
+            for i, message in enumerate(self.messages):
                 for joint, value in zip(getattr(message, key), getattr(message, field).tolist(), strict=False):
-                    times.setdefault(joint, []).append(at)
+                    rows.setdefault(joint, []).append(i)
                     values.setdefault(joint, []).append(value)
-            self._by_joint[field] = {joint: (np.array(times[joint]), np.array(values[joint])) for joint in times}
-        return self._by_joint[field]
+            self._by_joint[field] = {
+                joint: (np.array(rows[joint], dtype=np.intp), np.array(values[joint])) for joint in rows
+            }
+        at = self.time if times is None else times
+        return {joint: (at[rows], values) for joint, (rows, values) in self._by_joint[field].items()}
 
 
 class Bag:
@@ -113,7 +123,7 @@ class Bag:
     @cached_property
     def topics(self) -> dict[str, str]:
         """Topics with messages, and their ROS types."""
-        return {topic.name: topic.type for topic, _, _ in self._messages()}
+        return {each.topic.name: each.topic.type for each in self._messages()}
 
     @cached_property
     def origin(self) -> dict[str, str]:
@@ -144,21 +154,22 @@ class Bag:
         if not wanted:
             return
         messages: dict[str, list[Any]] = {topic: [] for topic in wanted}
-        received: dict[str, list[int]] = {topic: [] for topic in wanted}
+        stamps: dict[str, list[tuple[int, int]]] = {topic: [] for topic in wanted}
         types: dict[str, str] = {}
-        for topic, at, data in self._messages():
-            if topic.name in messages:
-                types[topic.name] = topic.type
-                messages[topic.name].append(self._decode(topic, data))
-                received[topic.name].append(at)
+        for message in self._messages():
+            name = message.topic.name
+            if name in messages:
+                types[name] = message.topic.type
+                messages[name].append(self._decode(message))
+                stamps[name].append((message.received, message.sent))
         for name in wanted:
             if name not in types:
                 known = ", ".join(sorted(self.topics)) or "no messages at all"
                 raise BagError(f"{self.path}: no messages on {name}; the bag has {known}")
-            stamps = _NANO * np.array(received[name], dtype=np.float64)
-            self._series[name] = Series(name, types[name], messages[name], stamps)
+            received, sent = _NANO * np.array(stamps[name], dtype=np.float64).T
+            self._series[name] = Series(name, types[name], messages[name], received, sent)
 
-    def _messages(self) -> Iterator[tuple[StoredTopic, int, bytes]]:
+    def _messages(self) -> Iterator[StoredMessage]:
         """All of them; a bag that is cut off is read to where it was written."""
         stored = StoredBag(self.path)
         yield from stored.messages()
@@ -169,9 +180,9 @@ class Bag:
             _log.warning("%s: ends in the middle; what was written before is used", self.path)
         self.truncated = condition.truncated > 0
 
-    def _decode(self, topic: StoredTopic, data: bytes) -> Any:
+    def _decode(self, message: StoredMessage) -> Any:
         try:
-            return self._types.decode(topic, data)
+            return self._types.decode(message.topic, message.data)
         except BagError as error:
             raise BagError(f"{self.path}: {error}") from None
 

@@ -69,7 +69,7 @@ def _export(bag: StoredBag, out: Path, selection: Selection, tell: Callable[[int
     tables: dict[StoredTopic, _Table | None] = {}
     names: set[str] = set()
     try:
-        for count, (topic, stamp, data) in enumerate(bag.messages()):
+        for count, (topic, stamp, data, _) in enumerate(bag.messages()):
             if count % 1000 == 0:
                 tell(count)
             if topic not in tables:

@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -41,6 +41,15 @@ class StoredTopic:
     encoding: str = "ros2msg"
     serialization: str = "cdr"
     latched: bool = False  # late-comers got the last message
+
+
+class StoredMessage(NamedTuple):
+    """A message as the bag has it; times in nanoseconds of the recorder's wall clock."""
+
+    topic: StoredTopic
+    received: int
+    data: bytes
+    sent: int  # by the publisher; SQLite bags do not say, it is ``received`` there
 
 
 @dataclass
@@ -79,8 +88,8 @@ class StoredBag:
         self.files = _files(path)
         self.condition = Condition(size=sum(file.stat().st_size for file in self.files))
 
-    def messages(self) -> Iterator[tuple[StoredTopic, int, bytes]]:
-        """Topic, time of reception [ns] and content of every message, in the order in which they stand."""
+    def messages(self) -> Iterator[StoredMessage]:
+        """Every message, in the order in which they stand."""
         for file in self.files:
             with open(file, "rb") as opened:
                 is_sqlite = opened.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
@@ -117,7 +126,7 @@ def _place(file: Path) -> tuple[str, int, str]:
 # --- MCAP -----------------------------------------------------------------------------------------------------------
 
 
-def _mcap_messages(file: Path, condition: Condition) -> Iterator[tuple[StoredTopic, int, bytes]]:
+def _mcap_messages(file: Path, condition: Condition) -> Iterator[StoredMessage]:
     schemas: dict[int, Schema] = {}
     topics: dict[int, StoredTopic] = {}
     lost = 0
@@ -135,7 +144,7 @@ def _mcap_messages(file: Path, condition: Condition) -> Iterator[tuple[StoredTop
             for each in contained:
                 if isinstance(each, Message):
                     if each.channel_id in topics:
-                        yield topics[each.channel_id], each.log_time, each.data
+                        yield StoredMessage(topics[each.channel_id], each.log_time, each.data, each.publish_time)
                 elif isinstance(each, Schema):
                     schemas[each.id] = each
                 elif isinstance(each, Channel):
@@ -186,7 +195,7 @@ def _latched(qos: str) -> bool:
 # --- SQLite ---------------------------------------------------------------------------------------------------------
 
 
-def _sqlite_messages(file: Path, condition: Condition) -> Iterator[tuple[StoredTopic, int, bytes]]:
+def _sqlite_messages(file: Path, condition: Condition) -> Iterator[StoredMessage]:
     with contextlib.closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
         database.execute("PRAGMA writable_schema=ON")  # else a truncated file cannot be read at all
         try:
@@ -209,7 +218,7 @@ def _sqlite_messages(file: Path, condition: Condition) -> Iterator[tuple[StoredT
                         garbled = False
                         continue
                     if topic in topics and isinstance(data, bytes):
-                        yield topics[topic], stamp, data
+                        yield StoredMessage(topics[topic], stamp, data, stamp)
                 break
             except sqlite3.Error as error:
                 unreachable += 1

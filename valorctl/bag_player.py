@@ -97,7 +97,7 @@ def _in_order(bag: StoredBag, selection: Selection) -> Iterator[tuple[int, Store
     """By time: a recorder writes what came on one topic, then on the next."""
     waiting: list[tuple[int, int, StoredTopic, bytes]] = []
     newest = 0
-    for number, (topic, stamp, data) in enumerate(bag.messages()):
+    for number, (topic, stamp, data, _) in enumerate(bag.messages()):
         if topic.name not in selection:
             continue
         heapq.heappush(waiting, (stamp, number, topic, data))

@@ -73,6 +73,37 @@ class RosClient:
         """Hear a topic as long as the node lives, while something is waited for."""
         self._node.create_subscription(message_type, topic, hear, qos)
 
+    def publisher(self, message_type: Any, topic: str, listeners: int, timeout: float = _SERVER_TIMEOUT) -> Any:
+        """A publisher of a topic, once that many listen.
+
+        Raises:
+            ValorError: not within ``timeout`` [s].
+        """
+        made = self._node.create_publisher(message_type, topic, 10)
+        self._spin(lambda: made.get_subscription_count() >= listeners, timeout, f"{topic}: not {listeners} listeners")
+        return made
+
+    def set_parameter(self, node: str, name: str, value: float) -> None:
+        """Set a parameter of another node.
+
+        Raises:
+            ValorError: it does not answer, or refuses; says why.
+        """
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        client = self._node.create_client(SetParameters, f"/{node}/set_parameters")
+        try:
+            self._spin(client.service_is_ready, _SERVER_TIMEOUT, f"{node}: no service set_parameters")
+            parameter = Parameter(name, value=value).to_parameter_msg()
+            setting = client.call_async(SetParameters.Request(parameters=[parameter]))
+            self._spin(setting.done, _RESPONSE_TIMEOUT, f"{node} does not set {name}")
+            result = setting.result().results[0]
+            if not result.successful:
+                raise ValorError(f"{node}: {name} = {value:g} refused: {result.reason}")
+        finally:
+            self._node.destroy_client(client)
+
     def wait(self, done: Callable[[], bool], timeout: float, what: str) -> None:
         """Wait until ``done()``.
 

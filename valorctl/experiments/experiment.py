@@ -10,7 +10,7 @@ from pathlib import Path
 
 from valor_analysis.results import Measure, Picture, Result, Table, host_facts
 from valor_common.errors import ValorError
-from valor_common.instance import Instance, Settings
+from valor_common.instance import Instance, Recording, Settings
 from valorctl import demonstration
 from valorctl.console import Progress
 from valorctl.instance_setup import Request
@@ -49,19 +49,29 @@ class Run:
         return self.options.out
 
     @contextmanager
-    def system(self, *, profile: str = "sim", bag: Path | None = None, robot: Path | None = None) -> Iterator[Settings]:
+    def system(
+        self,
+        *,
+        profile: str = "sim",
+        bag: Path | None = None,
+        robot: Path | None = None,
+        actuators: str | None = None,
+        recording: Recording | None = None,
+    ) -> Iterator[Settings]:
         """A system of the experiment's own that is up inside and down behind, whatever happens.
 
         Args:
             profile: which processes it has.
             bag: where its recorder writes.
             robot: its folder; the profile's robot unless given.
+            actuators: a profile of imperfections; that of the command line unless given.
+            recording: what the recorder keeps; everything unless given.
         """
         if bag is not None:
             bag.unlink(missing_ok=True)  # an earlier run's: the recorder would take another name
         request = Request(
-            profile=profile, robot=str(robot or self.options.robot), actuators=self.options.actuators,
-            seed=self.options.seed, bag=bag,
+            profile=profile, robot=str(robot or self.options.robot), actuators=actuators or self.options.actuators,
+            seed=self.options.seed, bag=bag, recording=recording or Recording(),
         )  # fmt: skip
         with demonstration.running(self.instance, request, self.progress, self.interruption) as settings:
             self.settings |= {

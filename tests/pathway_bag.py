@@ -1,0 +1,122 @@
+"""A bag of messages that pass along the three pathways with known delays."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from valor_analysis.pathways import JOINT_STATES, MODE_COMMAND, MODE_REPORT, REFERENCE, VEC
+from valor_common.robot import RobotDescription
+
+SHARE = Path(sys.prefix) / "share"
+TO_SETPOINT, TO_MOTOR, TO_STATES = 0.0012, 0.0015, 0.0008  # from a Proprioceptor sent, to what is made of it sent [s]
+RESPONSE = 0.006  # from a reference to the Proprioceptor whose control values move [s]
+THROUGH = 0.005  # by which Motor's positions come behind the control values [s]
+OBEYED = 2  # control periods, from the Proprioceptor that a Motor answers to the one that says that it is obeyed
+PLANT = 0.030  # by which joints come behind the Motor in force [s]
+CHANGE, REPORT = 0.012, 0.005  # of a mode [s]
+MOTIONS = (1.0, 3.0)  # when one is asked for [s]
+MODES = ((0.2, "stand_manipulate"), (5.2, "stand"))
+END, PERIOD = 6.0, 0.002
+WALL = 1_700_000_000.0
+JOINT = "r_elbow_pitch"
+
+
+def control_value(time: float) -> float:
+    """What the VEC wants of the joint [rad]."""
+    for asked in MOTIONS:
+        since = (time - asked - RESPONSE) / 1.2
+        if 0.0 < since < 1.0:
+            return float(0.3 * np.sin(np.pi * since) ** 2 * np.sin(7.0 * since))
+    return 0.0
+
+
+def write(path: Path, robot: RobotDescription) -> None:
+    """Write it."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for package in ("valor_msgs", "control_msgs", "vigir_humanoid_control_msgs"):
+        for file in sorted((SHARE / package / "msg").glob("*.msg")):
+            store.register(get_types_from_msg(file.read_text(), f"{package}/msg/{file.stem}"))
+    n, column, sequence = len(robot.joints), robot.index[JOINT], 1_000_000
+    rows: list[tuple[float, str, str, dict[str, Any]]] = []
+
+    def add(at: float, topic: str, type_name: str, **fields: Any) -> None:
+        rows.append((at, topic, type_name, fields))
+
+    def stamp(at: float) -> Any:
+        return store.types["builtin_interfaces/msg/Time"](sec=int(at), nanosec=round(1e9 * (at % 1.0)))
+
+    def header(at: float) -> Any:
+        return store.types["std_msgs/msg/Header"](stamp=stamp(at), frame_id="")
+
+    def point(**fields: Any) -> Any:
+        empty = {key: np.empty(0) for key in ("positions", "velocities", "accelerations", "effort")}
+        last = store.types["builtin_interfaces/msg/Duration"](sec=1, nanosec=200_000_000)
+        return store.types["trajectory_msgs/msg/JointTrajectoryPoint"](**(empty | {"time_from_start": last} | fields))
+
+    def vector(value: float) -> Any:
+        made = np.zeros(n)
+        made[column] = value
+        return made
+
+    for k in range(round(END / PERIOD)):
+        now = k * PERIOD
+        behavior = "stand_manipulate" if MODES[0][0] + CHANGE <= now < MODES[1][0] + CHANGE else "stand"
+        common = {"time": round(now * 1e9), "header": header(WALL + now)}
+        add(now, "/bifrost/comms_manager/proprioceptor", "valor_msgs/msg/Proprioceptor", **common,
+            sequence=sequence + k, motor_sequence=max(0, k + 1 - OBEYED),
+            joint_position=vector(control_value(now - THROUGH - OBEYED * PERIOD + TO_MOTOR - PLANT)))  # fmt: skip
+        add(now + TO_MOTOR, "/bifrost/motion_manager/motor", "valor_msgs/msg/Motor", **common, sequence=k + 1,
+            proprioceptor_sequence=sequence + k, position=vector(control_value(now + TO_MOTOR - THROUGH)))  # fmt: skip
+        add(now + TO_MOTOR, "/bifrost/motion_manager/motion_state", "valor_msgs/msg/MotionState", **common,
+            behavior=behavior)  # fmt: skip
+        if k % 2 == 0:
+            value, speed = control_value(now), (control_value(now + 1e-5) - control_value(now)) / 1e-5
+            add(now + TO_SETPOINT, "/bifrost/motion_manager/joint_setpoints", "valor_msgs/msg/JointSetpoints", **common,
+                names=[JOINT], position=np.array([value]))  # fmt: skip
+            add(now + TO_STATES, JOINT_STATES, "sensor_msgs/msg/JointState", header=header(now),
+                name=list(robot.joints), position=vector(0.0))  # fmt: skip
+            reference = point(positions=np.array([value]), velocities=np.array([speed]))
+            add(now + 0.002, VEC, "control_msgs/msg/JointTrajectoryControllerState", header=header(now),
+                joint_names=[JOINT], reference=reference)  # fmt: skip
+    for asked in MOTIONS:
+        add(asked + 0.0001, REFERENCE, "trajectory_msgs/msg/JointTrajectory", joint_names=[JOINT], points=[point()])
+    for at, mode in MODES:
+        add(at, MODE_COMMAND, "vigir_humanoid_control_msgs/msg/VigirControlModeCommand", requested_control_mode=mode)
+        add(at + CHANGE + REPORT, MODE_REPORT, "vigir_humanoid_control_msgs/msg/ControlModeStatus",
+            current_control_mode=mode)  # fmt: skip
+    folder, connections = path.with_suffix(".folder"), {}
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for at, topic, name, fields in sorted(rows, key=lambda row: row[0]):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, name, typestore=store)
+            message = _filled(store, name, fields)
+            writer.write(connections[topic], round((WALL + at) * 1e9), store.serialize_cdr(message, name))
+    shutil.move(str(next(folder.glob("*.mcap"))), path)
+    shutil.rmtree(folder)
+
+
+_PLAIN = {"string": "", "bool": False, "float64": 0.0, "float32": 0.0}
+
+
+def _filled(store: Any, name: str, fields: dict[str, Any]) -> Any:
+    """A message of some fields, the others zero or empty."""
+    content = {}
+    for field, (kind, detail) in store.fielddefs[name][1]:
+        if field in fields:
+            content[field] = fields[field]
+        elif kind.name == "BASE":
+            content[field] = _PLAIN.get(detail[0], 0)
+        elif kind.name == "NAME":
+            content[field] = _filled(store, detail, {})
+        else:
+            of, length = detail
+            numeric = of[0].name == "BASE" and of[1][0] != "string"
+            content[field] = np.zeros(length, dtype=of[1][0] if of[1][0] != "octet" else "uint8") if numeric else []
+    return store.types[name](**content)
