@@ -3,6 +3,9 @@
 The robot's *middle* moves with the velocity from step to step, and each foot comes down half a step width beside it. To
 the side both feet of a pair of steps would meet, so the foot that leads takes the way of both, and the other closes up.
 Each step's velocity differs from the last one's by no more than a limit, and without word for a while it is zero.
+
+The ground is not seen. It is taken to go on as it went under the last feet: a plane whose slope follows, step by step,
+how the soles lie and how much higher one foot came down than the other.
 """
 
 from __future__ import annotations
@@ -22,6 +25,9 @@ FloatArray = npt.NDArray[np.float64]
 
 STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
 AHEAD = 3  # steps
+STEEPEST = 0.12  # slope that is believed
+BELIEF = 0.4  # share of the newest step in the slope that is believed
+APART = 0.15  # feet nearer than this along the way tell no slope [m]
 
 
 class VelocitySteps:
@@ -41,6 +47,7 @@ class VelocitySteps:
         self._now = 0.0
         self._last_foot: int | None = None
         self._next_velocity = np.zeros(3)
+        self._slope = np.zeros(2)  # of the ground, in odom: rise by way along x and y
         self.velocity = np.zeros(3)
 
     def command(self, velocity: FloatArray, now: float) -> None:
@@ -74,6 +81,7 @@ class VelocitySteps:
         """The next steps; none when the robot shall stand and its feet are side by side."""
         velocity = self._changed(self.velocity)
         self._next_velocity = velocity
+        self._learn_slope(soles)
         foot = self._first(velocity) if self._last_foot is None else 1 - self._last_foot
         steps: list[Step] = []
         places = list(soles)
@@ -94,6 +102,7 @@ class VelocitySteps:
     def rested(self) -> None:
         """The next walk begins with either foot."""
         self.velocity, self._last_foot = np.zeros(3), None
+        self._slope[:] = 0.0
 
     # --- helpers --------------------------------------------------------------------------------------------------
 
@@ -125,15 +134,28 @@ class VelocitySteps:
         x, y = x - s * half, y + c * half
         cy, sy = cos(yaw), sin(yaw)
         px, py, pz = stance.position.tolist()
+        dx, dy = cy * x - sy * y, sy * x + cy * y
+        pz += float(self._slope[0]) * dx + float(self._slope[1]) * dy
         return Step(
             index=-1,
             foot=foot,
-            sole=level_pose(px + cy * x - sy * y, py + sy * x + cy * y, pz, yaw + turn),
+            sole=level_pose(px + dx, py + dy, pz, yaw + turn),
             swing_height=table.swing_height,
             swing_duration=swing,
             transfer_duration=transfer,
             adjustable=inf,
         )
+
+    def _learn_slope(self, soles: Sequence[SolePose]) -> None:
+        """Believe a little more in the slope on which the feet stand now."""
+        left, right = soles
+        normal = left.rotation[:, 2] + right.rotation[:, 2]
+        slope = -normal[:2] / normal[2]
+        way = right.position - left.position
+        apart = float(way[0] * way[0] + way[1] * way[1])
+        if apart > APART * APART:  # what the soles say of the rise between them, put right by what it was
+            slope = slope + way[:2] * ((float(way[2]) - float(slope @ way[:2])) / apart)
+        self._slope += BELIEF * (np.clip(slope, -STEEPEST, STEEPEST) - self._slope)
 
     def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:
         """Whether a step on the spot would not change much."""
