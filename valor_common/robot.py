@@ -216,7 +216,8 @@ class Walking(Table):
     touchdown_depth: NonNegative = 0.025  # below the foothold, that a foot is led to: holes are met in time [m]
     touchdown_force: Positive = 30.0  # vertical, at which a swinging foot has touched down [N]
     earliest_touchdown: Positive = 0.6  # of the swing's duration
-    descent: Positive = 0.2  # of a foot as it comes down, and on until it finds ground [m/s]
+    descent: Positive = 0.2  # of a foot as it comes down [m/s]
+    late_descent: Positive = 0.4  # and on, when it finds no ground [m/s]
     latest_touchdown: Positive = 0.3  # after the swing's end, whatever the foot feels [s]
     loading_duration: Positive = 0.05  # in which a foot gets and gives the right to push [s]
     foot_weight: Positive = 20.0  # of the swinging foot's task

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, exp, inf, nan, sin
 
 import casadi as ca
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
 from motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
+from motion_manager.whole_body.walking.step_guard import StepGuard
 from tests.unit.whole_body.closed_loop import load_robot
 
 OMEGA = 3.377
@@ -165,3 +167,42 @@ def test_it_is_the_optimum_of_the_problem_in_times_and_places() -> None:
             found.foothold[:2] - asked.stance.position[:2], solution.value(place), atol=2e-4, err_msg=str(error)
         )
         assert found.left == pytest.approx(float(solution.value(time)), abs=2e-4)
+
+
+@given(feet, headings, st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.sampled_from((0.0, 0.05, inf)))
+def test_a_late_foot_goes_where_the_dcm_needs_it_within_reach(
+    foot: int, heading: float, x: float, y: float, adjustable: float
+) -> None:
+    case = situation(foot, (0.3, 0.2), (0.0, 0.0), 0.06, heading=heading, adjustable=adjustable)
+    assert ROBOT.tables.footsteps is not None
+    guard = StepGuard(ROBOT, OMEGA)
+    guard.begin(case.step, case.stance, case.centre, landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER)
+    moved = np.array((x, y, 0.0))
+    place = guard.late_foothold(case.landing_dcm + moved)
+    x, y, _ = (place - case.step.sole.position).tolist()
+    c, s = cos(heading), sin(heading)
+    assert max(abs(c * x + s * y), abs(c * y - s * x)) <= adjustable + 1e-9
+    assert not reach_refusal(replace(case.step, sole=replace(case.step.sole, position=place)), case.stance,
+                             ROBOT.tables.footsteps)  # fmt: skip
+    gain = (1.0 - exp(-OMEGA * TRANSFER)) / (OMEGA * TRANSFER)
+    if adjustable == inf and np.hypot(x, y) < 0.02:  # nothing in the way
+        np.testing.assert_allclose(place - case.step.sole.position, moved / gain, atol=1e-9)
+
+
+@given(feet, headings, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+def test_the_vrp_of_a_late_step_stays_over_the_stance_sole_and_holds_the_dcm_back(
+    foot: int, heading: float, x: float, y: float
+) -> None:
+    case = situation(foot, (0.3, 0.2), (0.0, 0.0), 0.06, heading=heading)
+    guard = StepGuard(ROBOT, OMEGA)
+    guard.begin(case.step, case.stance, case.centre, landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER)
+    c, s = cos(heading), sin(heading)
+    dcm = case.centre + np.array((c * x - s * y, s * x + c * y, 0.0))
+    dx, dy, dz = (guard.late_vrp(dcm) - case.centre).tolist()
+    forward, left = c * dx + s * dy, c * dy - s * dx
+    sole = ROBOT.tables.feet.left
+    assert abs(forward) < 0.5 * (sole.toe - sole.heel)
+    assert abs(left) < sole.half_width
+    assert dz == 0.0
+    assert abs(x - forward) <= abs(x) + 1e-12
+    assert abs(y - left) <= abs(y) + 1e-12

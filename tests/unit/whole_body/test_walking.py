@@ -113,6 +113,24 @@ def test_a_swing_leaves_at_rest_and_comes_down_over_its_apex(swing: SwingTraject
     assert late.velocity[2] == pytest.approx(-0.05)
 
 
+def test_a_late_foot_comes_down_quicker_and_goes_along() -> None:
+    swing = SwingTrajectory(
+        FEET[0], SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3)),
+        height=0.06, duration=0.6, depth=0.003, descent=0.2, late_descent=0.4,
+    )  # fmt: skip
+    before = swing.at(0.62)
+    swing.follow(0.62, np.array([0.45, 0.2, 0.0]))
+    np.testing.assert_allclose(swing.at(0.62).position, before.position, atol=1e-12)
+    for time in (0.61, 0.64, 0.66, 0.7, 0.9):  # derivatives, within each of its pieces
+        earlier, here, later = swing.at(time - DT), swing.at(time), swing.at(time + DT)
+        np.testing.assert_allclose((later.position - earlier.position) / (2 * DT), here.velocity[:3], atol=1e-3)
+        np.testing.assert_allclose((later.velocity - earlier.velocity) / (2 * DT), here.acceleration, atol=5e-2)
+    there = swing.at(0.7)
+    np.testing.assert_allclose(there.position[:2], (0.45, 0.2))
+    assert there.velocity[2] == pytest.approx(-0.4)
+    np.testing.assert_allclose(there.rotation, before.rotation, atol=1e-9)
+
+
 @given(st.floats(0.01, 0.59))
 def test_a_swing_has_the_derivatives_it_claims(time: float) -> None:
     swing = SwingTrajectory(

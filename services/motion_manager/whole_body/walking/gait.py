@@ -30,6 +30,7 @@ AHEAD = 3  # steps planned
 HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]
 QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon it grows to all of it below that
 SHORTEST_PIECE = 0.01  # of a plan [s]
+FOLLOWED = 1e-3  # moves of a late foot's foothold below it are none [m]
 MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
 
 
@@ -148,9 +149,13 @@ class Gait:
                 self._begin_swing(state, self._step)
         elif self._touched(state, self.swinging):
             self._end_swing(state)
+        before = self.dcm
         self.dcm, self.vrp = self._plan.at(self._time)
         if self._step is not None:
-            self._give_way(state, dcm, self._step)
+            if self.swinging is not None and self._time > self._transfer + self._step.swing_duration:
+                self._wait(state, before, dcm, dt)
+            else:
+                self._give_way(state, dcm, self._step)
         self._feet()
 
     # --- phases ---------------------------------------------------------------------------------------------------
@@ -255,6 +260,7 @@ class Gait:
             duration=step.swing_duration,
             depth=self._depth(step.swing_duration),
             descent=table.descent,
+            late_descent=table.late_descent,
             toe=self._toes[step.foot],
         )
 
@@ -274,6 +280,26 @@ class Gait:
             assert self._step is not None
             left = self._transfer + self._step.swing_duration - time
             self.dcm[:2], self.vrp[:2] = guard.reference(left)[:2], guard.centre[:2]  # heights are the plan's
+
+    def _wait(self, state: RobotState, before: FloatArray, dcm: FloatArray, dt: float) -> None:
+        """The foot is late: slow the DCM's reference down, and lead the foot along with the DCM.
+
+        Args:
+            state: the robot's.
+            before: (3,) the reference a period ago [m].
+            dcm: (3,) its DCM, were its arms nominal [m].
+            dt: since then [s].
+        """
+        guard, step, time = self._guard, self._step, self._time - self._transfer
+        assert step is not None
+        self.vrp[:2] = guard.late_vrp(before)[:2]
+        self.dcm[:2] = before[:2] + self._omega * dt * (before[:2] - self.vrp[:2])
+        foothold = guard.late_foothold(dcm)
+        if self.foothold is not None and abs(foothold - self.foothold.position).max() > FOLLOWED:
+            sole = SolePose(foothold, step.sole.rotation)
+            self._trajectory.follow(time, foothold)
+            self.foothold = sole
+            self._step = replace(step, sole=sole)
 
     def _touched(self, state: RobotState, foot: int) -> bool:
         step, passed = self._step, self._time - self._transfer

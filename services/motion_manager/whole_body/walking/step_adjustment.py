@@ -22,7 +22,7 @@ of a microsecond, and solved by DAQP.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import cos, exp, hypot, isfinite, log, sin
 from typing import Any
@@ -66,6 +66,11 @@ class Adjustment:
     left: float  # until touchdown [s]
     landing_dcm: FloatArray  # (3,) the DCM at touchdown that goes with the foothold [m]
     cost: float  # of it: what it takes to keep balance [1]
+
+
+def transfer_gain(spread: float) -> float:
+    """α: how much further the DCM must be at touchdown, per distance of the foothold; ``spread`` is ω·T_d, above 0."""
+    return (1.0 - exp(-spread)) / spread
 
 
 class StepAdjuster:
@@ -144,10 +149,10 @@ class StepAdjuster:
         fx, fy = turned((situation.swing.position - stance.position).tolist())
         left = situation.left
         growth = exp(omega * left)
-        decay = exp(-omega * situation.transfer)
+        spread = omega * situation.transfer
         self._parameters[:10] = (
             nx, ny, lx, ly, lx + ex * growth, ly + ey * growth,
-            growth, (1.0 - decay) / (omega * situation.transfer), decay, omega,
+            growth, transfer_gain(spread), exp(-spread), omega,
         )  # fmt: skip
         self._evaluate()
         self._bound(situation, planned=(nx, ny), foot=(fx, fy), growth=growth)
@@ -164,6 +169,42 @@ class StepAdjuster:
         reached = landing + alpha * np.array((mx, my, 0.0))
         return Adjustment(foothold, left + log(ratio) / omega, reached, cost)
 
+    def cop_reach(self, foot: int) -> tuple[float, float]:
+        """How far the CoP can go from the middle of a foot's sole, ahead and aside, as far as is counted on [m]."""
+        return self._cop[foot]
+
+    def within_reach(self, step: Step, stance: SolePose, foothold: FloatArray) -> FloatArray:
+        """(3,) the place nearest to a foothold that a step may be moved to, at the height planned, in odom [m].
+
+        Args:
+            step: as planned.
+            stance: the other foot.
+            foothold: (3,) of the sole in odom [m].
+        """
+        heading = rotation.yaw_matrix(rotation.yaw(stance.rotation))
+        planned = heading.T @ (step.sole.position - stance.position)
+        place = heading.T @ (foothold - stance.position)
+        for i, (low, high) in enumerate(self._box(step, stance, planned[:2].tolist())):
+            place[i] = min(max(place[i], low), high)
+        place[2] = planned[2]
+        result: FloatArray = stance.position + heading @ place
+        return result
+
+    def _box(self, step: Step, stance: SolePose, planned: Sequence[float]) -> list[tuple[float, float]]:
+        """Lowest and highest forward and left of the stance foot, where a step may go that is planned there [m]."""
+        reach, table = self._reach, self._table
+        turn = abs(rotation.yaw(step.sole.rotation @ stance.rotation.T))
+        near = reach.min_width + table.clearance + 0.5 * self._sole_length * sin(min(turn, 1.0)), table.max_width
+        boxes = (
+            (-max(reach.max_backward, table.max_backward), reach.max_forward),
+            near if step.foot == LEFT else (-near[1], -near[0]),
+        )
+        most = step.adjustable
+        ends = [
+            (max(low, place - most), min(high, place + most)) for (low, high), place in zip(boxes, planned, strict=True)
+        ]
+        return [(min(pair), max(pair)) for pair in ends]
+
     def _bound(
         self, situation: Situation, *, planned: tuple[float, float], foot: tuple[float, float], growth: float
     ) -> None:
@@ -175,21 +216,13 @@ class StepAdjuster:
             foot: that swings, likewise [m].
             growth: e^{ωT}.
         """
-        step, stance, left = situation.step, situation.stance, situation.left
+        step, left = situation.step, situation.left
         reach, table, omega = self._reach, self._table, self._omega
         upper, lower, rows = self._upper, self._lower, self._rows
         side = 1.0 if step.foot == LEFT else -1.0
-        turn = abs(rotation.yaw(step.sole.rotation @ stance.rotation.T))
-        narrow = reach.min_width + table.clearance + 0.5 * self._sole_length * sin(min(turn, 1.0))
-        far, near = (reach.max_forward, -max(reach.max_backward, table.max_backward)), (narrow, table.max_width)
-        sideways = near if side > 0.0 else (-near[1], -near[0])
         way = table.foot_speed * left / PEAK
-        boxes = ((far[1], far[0]), sideways)
         distance = 0.0
-        for i in (0, 1):
-            most = step.adjustable
-            ends = max(boxes[i][0], planned[i] - most), min(boxes[i][1], planned[i] + most)
-            low, high = min(ends), max(ends)
+        for i, (low, high) in enumerate(self._box(step, situation.stance, planned)):
             # What is planned is always allowed; a foot far off gets as near as it can, and not beyond reach.
             lower[i] = min(max(low, foot[i] - way), high, planned[i])
             upper[i] = max(min(high, foot[i] + way), low, planned[i])

@@ -4,6 +4,10 @@ A step is left alone while the error is small: the CoP makes good for that. From
 foothold and time follow the DCM every period (``step_adjustment``), and so does the DCM's reference,
 ξ(t) = c + (ξ_td − c)·e^{ω(t − T)} with the VRP c over the stance foot. While weight is still being transferred the
 foothold alone follows.
+
+A foot that finds no ground when it should is late, and the DCM does not wait: it moves on, away from the stance foot.
+The CoP under that foot goes after it, to the sole's edge, which slows it down; and the foothold moves on with it, by
+the ξ' = ξ_td + α·Δs of ``step_adjustment``: the foot comes down where the DCM needs it then.
 """
 
 from __future__ import annotations
@@ -13,9 +17,10 @@ from math import exp, inf
 
 import numpy as np
 
+from motion_manager.whole_body import rotation
 from motion_manager.whole_body.state import FloatArray
 from motion_manager.whole_body.walking.footsteps import Step
-from motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
+from motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster, transfer_gain
 from motion_manager.whole_body.walking.swing import SolePose
 from valor_common.robot import RobotDescription
 
@@ -86,6 +91,38 @@ class StepGuard:
         if found is not None:
             self.adjusted = found
         return found
+
+    def late_vrp(self, dcm: FloatArray) -> FloatArray:
+        """(3,) VRP that holds the DCM's reference back best, with the CoP in the stance sole, while the foot is late.
+
+        Args:
+            dcm: (3,) reference [m].
+        """
+        situation, adjuster = self._situation, self._adjuster
+        if adjuster is None:
+            return situation.centre
+        heading = rotation.yaw_matrix(rotation.yaw(situation.stance.rotation))
+        most = adjuster.cop_reach(1 - situation.step.foot)
+        away = np.clip(heading[:2, :2].T @ (dcm - situation.centre)[:2], np.negative(most), most)
+        vrp = situation.centre.copy()
+        vrp[:2] += heading[:2, :2] @ away
+        return vrp
+
+    def late_foothold(self, dcm: FloatArray) -> FloatArray:
+        """(3,) of the sole, where a foot that is late shall come down, in odom, at the height planned [m].
+
+        Args:
+            dcm: (3,) measured [m].
+        """
+        situation, adjuster = self._situation, self._adjuster
+        step = situation.step
+        foothold, landing = step.sole.position, situation.landing_dcm
+        if self.adjusted is not None:
+            foothold, landing = self.adjusted.foothold, self.adjusted.landing_dcm
+        if adjuster is None or not self._guards:
+            return foothold
+        moved = (dcm - landing) / transfer_gain(self._omega * situation.transfer)
+        return adjuster.within_reach(step, situation.stance, foothold + moved)
 
     def cost(self, dcm_error: FloatArray) -> float:
         """What it takes to keep balance with this step, as it begins [1]; infinite: it cannot be adjusted.

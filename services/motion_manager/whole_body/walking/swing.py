@@ -18,6 +18,8 @@ from motion_manager.whole_body import rotation
 
 FloatArray = npt.NDArray[np.float64]
 
+FOLLOWING = 0.06  # in which a late foot goes to its foothold's new place [s]
+HURRY = 4.0  # with which it gets quicker [m/s²]
 SHORTEST_RISE = 0.01  # to the apex; with less left the foot goes down from where it is [s]
 HIGH_STEP = 0.1  # the height between footholds, up or down, from which on … [m]
 LIFT = 0.2  # … this share of the time the foot goes only up, or only down
@@ -132,6 +134,7 @@ class SwingTrajectory:
         duration: float,
         depth: float,
         descent: float,
+        late_descent: float = 0.0,
         toe: float = 0.0,
     ) -> None:
         """Plan.
@@ -143,9 +146,13 @@ class SwingTrajectory:
             duration: [s].
             depth: below the target, that the foot is led to [m].
             descent: speed at which it comes down there, and goes on down afterwards [m/s].
+            late_descent: that it gets to when it finds no ground there, if it is more [m/s].
             toe: ahead of the sole's origin, about which it peels off when it goes high or low; 0: it does not [m].
         """
         self._depth, self._descent, self._toe = depth, descent, toe
+        self._late_descent = max(descent, late_descent)
+        self._hurries = (self._late_descent - descent) / HURRY  # until it has got that quick [s]
+        self._following: Quintic | None = None
         begin, end = float(start.position[2]), float(target.position[2])
         self._apex = max(begin, end) + height
         self._apex_time = 0.5 * duration
@@ -179,6 +186,15 @@ class SwingTrajectory:
             self._peaks = time + (self._peaks - time) * stretch
         self._plan(motion, peel, start, target, (time, duration))
 
+    def follow(self, time: float, position: FloatArray) -> None:
+        """Go aside while coming down late, without a jump.
+
+        Args:
+            time: now, after the swing's end [s].
+            position: (3,) to come down at, in odom; its height is of no meaning [m].
+        """
+        self._following = Quintic(self._flat(time)[:, :2], position[:2], time, FOLLOWING)
+
     def _plan(
         self, motion: FloatArray, peel: FloatArray, start: FloatArray, target: SolePose, times: tuple[float, float]
     ) -> None:
@@ -205,8 +221,17 @@ class SwingTrajectory:
         motion = self._horizontal.at(time)
         motion[:, 2] = self._vertical.at(time)[:, 0]
         if time > self._ends:
-            motion[:, 2] = (motion[0, 2] - self._descent * (time - self._ends), -self._descent, 0.0)
+            motion[:, 2] = self._late_at(time - self._ends, motion[0, 2])
+            if self._following is not None:
+                motion[:, :2] = self._following.at(time)
         return motion
+
+    def _late_at(self, late: float, z: float) -> tuple[float, float, float]:
+        """Height [m], speed [m/s], acceleration [m/s²] of a foot so late [s], which should have stood at z [m]."""
+        speed, most, hurries = self._descent, self._late_descent, self._hurries
+        if late < hurries:
+            return z - (speed + 0.5 * HURRY * late) * late, -speed - HURRY * late, -HURRY
+        return z - 0.5 * (speed + most) * hurries - most * (late - hurries), -most, 0.0
 
     def at(self, time: float) -> SwingPoint:
         """The reference at ``time`` [s] since the start."""

@@ -4,8 +4,7 @@ The robot's *middle* moves with the velocity from step to step, and each foot co
 the side both feet of a pair of steps would meet, so the foot that leads takes the way of both, and the other closes up.
 Each step's velocity differs from the last one's by no more than a limit, and without word for a while it is zero.
 
-The ground is not seen. It is taken to go on as it went under the last feet: a plane whose slope follows, step by step,
-how the soles lie and how much higher one foot came down than the other.
+The ground is not seen: it is taken to go on as it went under the last feet (``ground``).
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy.typing as npt
 
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
+from motion_manager.whole_body.walking.ground import GroundPlane
 from motion_manager.whole_body.walking.swing import SolePose
 from valor_common.robot import Walking
 
@@ -25,9 +25,6 @@ FloatArray = npt.NDArray[np.float64]
 
 STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
 AHEAD = 3  # steps
-STEEPEST = 0.12  # slope that is believed
-BELIEF = 0.4  # share of the newest step in the slope that is believed
-APART = 0.15  # feet nearer than this along the way tell no slope [m]
 
 
 class VelocitySteps:
@@ -47,7 +44,8 @@ class VelocitySteps:
         self._now = 0.0
         self._last_foot: int | None = None
         self._next_velocity = np.zeros(3)
-        self._slope = np.zeros(2)  # of the ground, in odom: rise by way along x and y
+        self._ground = GroundPlane()
+        self._moved = False  # a foot, since the last steps were asked for
         self.velocity = np.zeros(3)
 
     def command(self, velocity: FloatArray, now: float) -> None:
@@ -81,11 +79,13 @@ class VelocitySteps:
         """The next steps; none when the robot shall stand and its feet are side by side."""
         velocity = self._changed(self.velocity)
         self._next_velocity = velocity
-        self._learn_slope(soles)
         foot = self._first(velocity) if self._last_foot is None else 1 - self._last_foot
         steps: list[Step] = []
         places = list(soles)
         while len(steps) < AHEAD and (velocity.any() or not self._aligned(places, foot)):
+            if not steps:
+                self._ground.stand((soles[foot].position, soles[1 - foot].position), self._moved)
+                self._moved = False
             step = self._step(foot, places[1 - foot], velocity)
             steps.append(step)
             places[foot] = step.sole
@@ -97,12 +97,13 @@ class VelocitySteps:
         self.velocity, self._last_foot = self._next_velocity, step.foot
 
     def ended(self, step: Step) -> None:
-        """Nothing."""
+        """Its foot tells of the ground."""
+        self._moved = True
 
     def rested(self) -> None:
         """The next walk begins with either foot."""
         self.velocity, self._last_foot = np.zeros(3), None
-        self._slope[:] = 0.0
+        self._ground.forget()
 
     # --- helpers --------------------------------------------------------------------------------------------------
 
@@ -133,29 +134,17 @@ class VelocitySteps:
         half = 0.5 * side * table.step_width
         x, y = x - s * half, y + c * half
         cy, sy = cos(yaw), sin(yaw)
-        px, py, pz = stance.position.tolist()
-        dx, dy = cy * x - sy * y, sy * x + cy * y
-        pz += float(self._slope[0]) * dx + float(self._slope[1]) * dy
+        px, py, _ = stance.position.tolist()
+        px, py = px + cy * x - sy * y, py + sy * x + cy * y
         return Step(
             index=-1,
             foot=foot,
-            sole=level_pose(px + dx, py + dy, pz, yaw + turn),
+            sole=level_pose(px, py, self._ground.height(px, py), yaw + turn),
             swing_height=table.swing_height,
             swing_duration=swing,
             transfer_duration=transfer,
             adjustable=inf,
         )
-
-    def _learn_slope(self, soles: Sequence[SolePose]) -> None:
-        """Believe a little more in the slope on which the feet stand now."""
-        left, right = soles
-        normal = left.rotation[:, 2] + right.rotation[:, 2]
-        slope = -normal[:2] / normal[2]
-        way = right.position - left.position
-        apart = float(way[0] * way[0] + way[1] * way[1])
-        if apart > APART * APART:  # what the soles say of the rise between them, put right by what it was
-            slope = slope + way[:2] * ((float(way[2]) - float(slope @ way[:2])) / apart)
-        self._slope += BELIEF * (np.clip(slope, -STEEPEST, STEEPEST) - self._slope)
 
     def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:
         """Whether a step on the spot would not change much."""
