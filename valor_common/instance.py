@@ -20,6 +20,7 @@ DEFAULT_NAME = "default"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 
 ClockMode = Literal["lockstep", "realtime"]
+Variant = Literal["simulation", "hardware"]
 
 
 class Recording(BaseModel):
@@ -40,13 +41,17 @@ class Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     profile: str = "sim"
+    variant: Variant = "simulation"  # what the Comms Manager runs on
     robot: Path  # the robot's folder
+    control_rate: float | None = None  # instead of robot.yaml's [Hz]
+    ports: dict[str, str] = {}  # of devices: where they are plugged in; not named: the emulators' (devices/ports.py)
     clock: ClockMode = "lockstep"
     actuators: str = "hardware"  # a profile of robot.yaml: how far the plant is from the controller's model
     seed: int = 0
     world: str = "flat"
     real_time_factor: float = 1.0  # lockstep is paced to this; 0: as fast as it goes
     ros_domain_id: int
+    epoch: int = 0  # when robot time is 0 on hardware, monotonic [ns]
     bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
     recording: Recording = Recording()
 
@@ -88,6 +93,11 @@ class Instance:
     def logs(self) -> Path:
         """One log file a service, kept after ``valorctl down``."""
         return self.folder / "logs"
+
+    @property
+    def ports(self) -> Path:
+        """Where device emulators put their serial ports: one link a device."""
+        return self.folder / "ports"
 
     @property
     def bags(self) -> Path:

@@ -81,6 +81,8 @@ class DeviceStatus(Message):
     temperature: Float64Array  # the unit's hottest part [°C]; NaN: it does not say
     voltage: Float64Array  # of its supply [V]; NaN: it does not say
     errors: Float64Array  # frames refused since start: checksum, length, order, nonsense
+    reaction: str  # what the Motion System shall do: keep_balance, soft_stop, hold, limp
+    reason: str  # why: the gravest trouble, its unit named; empty: none
 
 
 class HdtCommand(Message):
@@ -342,6 +344,22 @@ class PushReply(Message):
 
     accepted: bool
     time: int
+    reason: str
+
+
+class FaultRequest(Message):
+    """Let a unit of an emulated device fail."""
+
+    device: str  # as in robot.yaml
+    unit: str  # as in DeviceStatus.units, behind the slash; the device's name where it has one unit only
+    fault: str  # silent, slow, garbage, … (device_emulators/emulator.py); empty: end all of this device
+    duration: float  # [s]; 0: for good
+
+
+class FaultReply(Message):
+    """Whether the unit fails now."""
+
+    accepted: bool
     reason: str
 
 

@@ -14,19 +14,13 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from valor_common.devices.table import Calibration, DeviceTable, HdtBifrost, SupplyLimits
 from valor_common.errors import ConfigurationError
+from valor_common.table import NonNegative, Positive, Table
 
 FloatVector = npt.NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-
-
-class Table(BaseModel):
-    """A part of robot.yaml: unknown keys are errors, values are fixed once read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Servo(Table):
@@ -375,6 +369,9 @@ class RobotTables(Table):
     self_collision: SelfCollision = SelfCollision()
     estimator: Estimator = Estimator()
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
+    devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order in which they are found and enabled
+    calibration: Calibration = Calibration()
+    supply: SupplyLimits = SupplyLimits()
 
     @model_validator(mode="after")
     def _names(self) -> RobotTables:
@@ -393,7 +390,32 @@ class RobotTables(Table):
                     if missing := set(posture) - set(self.groups[f"{side}_{limb}"]):
                         where = f"{limb}_presets.{preset}.{side}"
                         raise ValueError(f"{where}: not joints of the {side} {limb}: {sorted(missing)}")
+        for key, table in (("offsets", self.calibration.offsets), ("pose", self.calibration.pose)):
+            if missing := set(table) - known:
+                raise ValueError(f"calibration.{key}: unknown joints {sorted(missing)}")
+        self._each_joint_once()
         return self
+
+    def device_joints(self, name: str) -> list[str]:
+        """The joints that a device moves, in its units' order."""
+        device = self.devices[name]
+        if not isinstance(device, HdtBifrost):
+            return device.joints
+        for limb in device.limbs:
+            if limb.group not in self.groups:
+                raise ValueError(f"devices.{name}: unknown group {limb.group}")
+        return [joint for limb in device.limbs for joint in self.groups[limb.group]]
+
+    def _each_joint_once(self) -> None:
+        """Raise ``ValueError`` unless each joint that a device moves is known, and moved by no other."""
+        owner: dict[str, str] = {}
+        for name in self.devices:
+            for joint in self.device_joints(name):
+                if joint not in self.joints:
+                    raise ValueError(f"devices.{name}: unknown joint {joint}")
+                if joint in owner:
+                    raise ValueError(f"devices.{name}: joint {joint} is moved by {owner[joint]} already")
+                owner[joint] = name
 
 
 class RobotDescription:
@@ -411,8 +433,12 @@ class RobotDescription:
         self.joints: tuple[str, ...] = tuple(tables.joints)
 
     @classmethod
-    def load(cls, folder: Path) -> RobotDescription:
+    def load(cls, folder: Path, control_rate: float | None = None) -> RobotDescription:
         """Read a robot's folder.
+
+        Args:
+            folder: of the robot.
+            control_rate: instead of robot.yaml's [Hz].
 
         Raises:
             ConfigurationError: the folder, a file or a key is missing or wrong.
@@ -432,6 +458,8 @@ class RobotDescription:
             raise ConfigurationError(f"{file}: {key}: {first['msg']}") from None
         if not (folder / tables.model).is_file():
             raise ConfigurationError(f"{file}: model: no file {folder / tables.model}")
+        if control_rate is not None:
+            tables = tables.model_copy(update={"control_rate": control_rate})
         return cls(folder, tables)
 
     @property

@@ -43,7 +43,7 @@ class Context:
         self.name = name
         self.instance = instance
         self.settings: Settings = instance.settings()
-        self.robot = RobotDescription.load(self.settings.robot)
+        self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
         self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
         self.statistics = StatisticsPublisher(self.node, name, self.robot.control_period)

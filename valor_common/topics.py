@@ -38,7 +38,7 @@ class ServiceTopic:
 
 
 _COMMS, _MOTION, _VRC = "comms_manager", "motion_manager", "valor_ros_controller"
-_CONVERTER, _RECORDER = "footstep_converter", "bag_recorder"
+_CONVERTER, _RECORDER, _EMULATORS = "footstep_converter", "bag_recorder", "device_emulators"
 
 # fmt: off
 #                                     name                                 type                publisher   rate          record, description
@@ -69,6 +69,7 @@ GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.Gro
 MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
 COMMS_MANAGER_STATISTICS      = Topic("comms_manager/statistics",          m.Statistics,       _COMMS,     1.0,          1, "how it fares")
 VALOR_ROS_CONTROLLER_STATISTICS = Topic("valor_ros_controller/statistics", m.Statistics,       _VRC,       1.0,          1, "how it fares")
+DEVICE_EMULATORS_STATISTICS   = Topic("device_emulators/statistics",       m.Statistics,       _EMULATORS, 1.0,          1, "how they fare; hardware without a robot only")
 FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Statistics,       _CONVERTER, 1.0,          1, "how it fares")
 BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
 
@@ -78,16 +79,17 @@ TOPICS: tuple[Topic, ...] = (
     HDT_LEFT_ARM_COMMAND, HDT_RIGHT_ARM_COMMAND, HDT_LEFT_HAND_COMMAND, HDT_RIGHT_HAND_COMMAND,
     HDT_LEFT_ARM_STATE, HDT_RIGHT_ARM_STATE, HDT_LEFT_HAND_STATE, HDT_RIGHT_HAND_STATE, CONTROL_MODE,
     GROUND_TRUTH, MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
-    FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
+    DEVICE_EMULATORS_STATISTICS, FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
 )
 
 #                            name                            request                reply                server    description
 BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,      m.BehaviorReply,      _MOTION, "go to a behavior")
 FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest,  m.FootstepPlanReply,  _MOTION, "execute, update or stop a footstep plan")
 PUSH          = ServiceTopic("simulation/push",              m.PushRequest,          m.PushReply,          _COMMS,  "push the chest; simulation only")
+FAULT         = ServiceTopic("simulation/fault",             m.FaultRequest,         m.FaultReply,         _EMULATORS, "let an emulated device fail; hardware without a robot only")
 SNAP          = ServiceTopic("bag_recorder/snap",            m.SnapRequest,          m.SnapReply,          _RECORDER, "save the last seconds that the recorder holds")
 # fmt: on
 
-SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, FOOTSTEP_PLAN, PUSH, SNAP)
+SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, FOOTSTEP_PLAN, PUSH, FAULT, SNAP)
 
 STATISTICS: dict[str, Topic] = {topic.publisher: topic for topic in TOPICS if topic.type is m.Statistics}

@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import socket
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,7 +61,10 @@ def plan(request: Request) -> Plan:
     robot = RobotDescription.load(robot_folder(request.robot or defaults.robot))
     settings = Settings(
         profile=request.profile,
+        variant=profile.variant,
         robot=robot.folder,
+        control_rate=profile.control_rate,
+        ports=profile.ports,
         clock=request.clock or defaults.clock,
         actuators=request.actuators or defaults.actuators,
         seed=defaults.seed if request.seed is None else request.seed,
@@ -72,6 +76,10 @@ def plan(request: Request) -> Plan:
     )
     _expect("--actuators", settings.actuators, tuple(robot.tables.actuators))
     worlds.check(settings.world, "--world")
+    if profile.variant == "hardware" and not robot.tables.devices:
+        raise ConfigurationError(
+            f"{robot.folder / 'robot.yaml'}: devices: none; expected those of the robot (profile {request.profile})"
+        )
     initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
     return Plan(profile, settings, initial_mode or None)
 
@@ -109,7 +117,7 @@ def make(instance: Instance, wanted: Settings) -> Settings:
             domain = choose_domain(
                 str(instance.folder), domains_taken(instance.folder.parent, but=instance), domain_is_free
             )
-            settings = wanted.model_copy(update={"ros_domain_id": domain})
+            settings = wanted.model_copy(update={"ros_domain_id": domain, "epoch": time.monotonic_ns()})
             _write(instance.settings_file, settings.model_dump_json(indent=2) + "\n")
     except OSError as error:
         raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None

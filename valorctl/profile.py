@@ -9,7 +9,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from valor_common.errors import ConfigurationError
-from valor_common.instance import ClockMode
+from valor_common.instance import ClockMode, Variant
 from valor_common.processes import BY_NAME, Process
 
 
@@ -32,6 +32,9 @@ class Profile(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     description: str
+    variant: Variant = "simulation"  # what the Comms Manager runs on
+    control_rate: Annotated[float, Field(gt=0, le=1000)] | None = None  # instead of the robot's own [Hz]
+    ports: dict[str, str] = {}  # of devices, where they are not the emulators' (valor_common/devices/ports.py)
     processes: Annotated[tuple[str, ...], Field(min_length=1)]
     initial_mode: str | None = None
     defaults: Defaults = Defaults()

@@ -77,10 +77,11 @@ def _bring_up(
 
 
 def waves(processes: Sequence[Process]) -> list[list[Process]]:
-    """Groups to be started one after the other: a process stands in the first group after all that it needs."""
+    """Groups to be started one after the other: a process stands in the first group after all that it waits for."""
+    names = {process.name for process in processes}
     waiting, started, groups = list(processes), set[str](), list[list[Process]]()
     while waiting:
-        group = [process for process in waiting if started.issuperset(process.needs)]
+        group = [p for p in waiting if started.issuperset(p.needs) and started.issuperset(names.intersection(p.after))]
         if not group:
             raise ValueError(f"processes need each other: {', '.join(process.name for process in waiting)}")
         groups.append(group)

@@ -9,7 +9,13 @@ from valor_common.messages import Proprioceptor
 
 
 class Backend(ABC):
-    """The robot's devices as the main loop sees them, and how their time passes."""
+    """The robot's devices as the main loop sees them, and how their time passes.
+
+    Attributes:
+        waits_for_motor: robot time begins with the first Motor; otherwise it passes by itself.
+    """
+
+    waits_for_motor = True
 
     @property
     @abstractmethod

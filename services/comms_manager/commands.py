@@ -94,6 +94,22 @@ class Commands:
         self._misses = 0
         return True
 
+    def listen(self, timeout: float) -> None:
+        """Admit what comes until the newest state is answered, at most for ``timeout`` [s]; a miss is not counted.
+
+        For a robot whose time passes by itself: Motor is silent when none has come for the time-out, whatever was
+        waited for.
+        """
+        deadline = time.perf_counter() + timeout
+        self.take()
+        while self.motor is None or self.age > 0:
+            remaining = deadline - time.perf_counter()
+            if remaining <= 0.0:
+                return
+            received = self._subscriber.receive(timeout=remaining)
+            if received is not None:
+                self._consider(received.message, received.origin)
+
     def _consider(self, motor: Motor, origin: str) -> None:
         """Admit a Motor, or count and log why not."""
         if reason := self._fault(motor):

@@ -8,7 +8,6 @@ from collections import deque
 import bifrost
 from comms_manager.backend import Backend
 from comms_manager.commands import Commands
-from comms_manager.simulation.backend import Simulation
 from valor_common.messages import ClockStatus, Motor, Proprioceptor
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
@@ -26,15 +25,18 @@ class CommsManager:
         self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
         self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot)
         self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus))
-        self._backend: Backend = Simulation(context)
+        self._backend = make_backend(context)
         # Microseconds since the epoch: greater than every sequence of an earlier run, so that a Motor which answers
         # the world before a restart is known.
         self._sequence = time.time_ns() // 1000
 
     def run(self) -> None:
-        """Stand by until the first Motor, then run until told to stop."""
+        """Stand by until the first Motor if the backend does, then run until told to stop."""
         quiet_collector()
-        self._stand_by()
+        if self._backend.waits_for_motor:
+            self._stand_by()
+        else:
+            self._statistics.state("ready")
         backend, commands, statistics = self._backend, self._commands, self._statistics
         began = time.perf_counter()
         while not self._context.stopping.is_set():
@@ -73,6 +75,17 @@ class CommsManager:
     def _publish(self, state: Proprioceptor) -> None:
         self._commands.measured(state.sequence, state.time)
         self._proprioceptor.publish(state)
+
+
+def make_backend(context: Context) -> Backend:
+    """The backend of the instance's variant; the other one's libraries are not even imported."""
+    if context.settings.variant == "hardware":
+        from comms_manager.hardware.backend import Hardware
+
+        return Hardware(context)
+    from comms_manager.simulation.backend import Simulation
+
+    return Simulation(context)
 
 
 class ClockReport:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comms_manager.simulation.clock import LATE, Pacer, Wall
+from valor_common.pacing import LATE, Pacer, Wall
 
 PERIOD = 0.002
 

@@ -74,10 +74,17 @@ def test_processes_start_after_what_they_need() -> None:
         waves([process("a", "b"), process("b", "a")])
 
 
-def test_the_table_starts_in_two_waves() -> None:
-    first, second = waves(PROCESSES)
+def test_a_process_starts_after_those_that_it_only_waits_for_where_the_profile_has_them() -> None:
+    late = Process("late", "late", "", (), False, 1.0, 1.0, after=("early",))
+    assert [[p.name for p in group] for group in waves([late, process("early")])] == [["early"], ["late"]]
+    assert [[p.name for p in group] for group in waves([late])] == [["late"]]
+
+
+def test_the_simulation_starts_in_two_waves() -> None:
+    table = Profile.load(resources.profile_file("sim")).table
+    first, second = waves(table)
     assert [p.name for p in first] == ["bifrostd"]
-    assert {p.name for p in second} == set(BY_NAME) - {"bifrostd"}
+    assert {p.name for p in second} == {p.name for p in table} - {"bifrostd"}
 
 
 @given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))

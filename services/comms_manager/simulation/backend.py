@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from comms_manager.backend import Backend
 from comms_manager.commands import Commands
-from comms_manager.simulation.clock import CLOCKS, Pacer, Wall
+from comms_manager.simulation.clock import CLOCKS
 from valor_common.errors import ConfigurationError
 from valor_common.messages import GroundTruth, Proprioceptor
+from valor_common.pacing import Pacer, Wall
 from valor_common.service import Context
 from valor_common.topics import GROUND_TRUTH
 from valor_simulation.plant import Plant

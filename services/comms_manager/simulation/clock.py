@@ -7,70 +7,15 @@ staleness). Neither ever catches up on missed periods: when late, the schedule m
 
 from __future__ import annotations
 
-import ctypes
 import time
 from abc import ABC, abstractmethod
 
 from comms_manager.commands import Commands
+from valor_common.pacing import Pacer
 from valor_simulation.plant import Plant
 
 PATIENCE = 1.0  # of one wait for a Motor [s]
 STALENESS = 5  # realtime: periods that the state answered by the newest Motor may lie back
-LATE = 0.002  # behind the schedule by more than this, the schedule moves [s]
-
-
-class Wall:
-    """The wall clock."""
-
-    def __init__(self) -> None:
-        # Linux wakes a sleeper up to 50 µs late to save energy, unless asked not to (PR_SET_TIMERSLACK).
-        ctypes.CDLL(None).prctl(29, 1000, 0, 0, 0)
-
-    def now(self) -> float:
-        """[s]."""
-        return time.perf_counter()
-
-    def sleep(self, duration: float) -> None:
-        """Sleep [s]."""
-        time.sleep(duration)
-
-
-class Pacer:
-    """Keeps robot time to a schedule on the wall.
-
-    Attributes:
-        slip: robot time lost: how much less has passed than the schedule first had it [s].
-    """
-
-    def __init__(self, rate: float, wall: Wall) -> None:
-        """``rate``: robot time to wall time; 0: no schedule."""
-        self._rate = rate
-        self._wall = wall
-        self._due: float | None = None
-        self.slip = 0.0
-
-    def pass_time(self, duration: float, at_least_real_time: bool = False) -> float:
-        """Let a duration of robot time pass: sleep until its end is due. Returns the time slept [s].
-
-        Args:
-            duration: [s].
-            at_least_real_time: keep to real time where there is no schedule.
-        """
-        rate = self._rate or (1.0 if at_least_real_time else 0.0)
-        now = self._wall.now()
-        if self._due is None or not rate:
-            self._due = now
-        if not rate:
-            return 0.0
-        self._due += duration / rate
-        if now < self._due:
-            self._wall.sleep(self._due - now)
-            return self._wall.now() - now
-        if now - self._due > LATE:
-            if self._rate:
-                self.slip += (now - self._due) * rate
-            self._due = now
-        return 0.0
 
 
 class Clock(ABC):

@@ -1,0 +1,229 @@
+"""The real devices behind the main loop: find them, switch them on, and exchange states and commands every period.
+
+::
+
+    period     |<------------------------ control period ------------------------>|
+    main loop  SYNC → gather → Proprioceptor ── wait for Motor ──→ hand out, sleep → SYNC …
+    devices       their threads, at their own rates
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+import threading
+import time
+
+import numpy as np
+
+from comms_manager.backend import Backend
+from comms_manager.commands import Commands
+from comms_manager.hardware.can_device import GATHERING, CanDevice
+from comms_manager.hardware.device import (
+    Device,
+    DeviceContext,
+    DeviceError,
+    ImuMeasurement,
+    JointCommands,
+    JointMeasurement,
+    WrenchMeasurement,
+)
+from comms_manager.hardware.faults import DeviceWatch
+from comms_manager.hardware.force_torque import ForceTorque
+from comms_manager.hardware.kinds import make
+from valor_common.errors import ConfigurationError
+from valor_common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
+from valor_common.pacing import Pacer, Wall
+from valor_common.robot import FloatVector
+from valor_common.service import Context
+from valor_common.topics import DEVICES
+
+NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit says otherwise [V]
+# Five threads share the interpreter: whoever waits for it is to wait less than the five milliseconds of the default.
+_SWITCH_INTERVAL = 0.0005
+_log = logging.getLogger("comms_manager")
+
+
+class Hardware(Backend):
+    """All devices of robot.yaml."""
+
+    waits_for_motor = False  # the robot's time passes by itself
+
+    def __init__(self, context: Context) -> None:
+        self._context, robot = context, context.robot
+        self._robot = robot
+        n = len(robot.joints)
+        self._devices: list[Device] = []
+        self._threads: list[threading.Thread] = []
+        self._stopping = threading.Event()
+        device_context = DeviceContext(context.instance, context.settings, robot)
+        try:
+            for name in robot.tables.devices:
+                self._devices.append(make(name, device_context))
+            self._require_all_joints()
+            self._start()
+        except DeviceError as error:
+            self.close()
+            raise ConfigurationError(str(error)) from None
+        except BaseException:
+            self.close()
+            raise
+        self._synchronous = [device for device in self._devices if isinstance(device, CanDevice)]
+        self._moving = [device for device in self._devices if len(device.joints)]
+        self._watch = DeviceWatch(self._devices)
+        self._status = context.node.publisher(DEVICES.name, DeviceStatus)
+        self._pacer = Pacer(1.0, Wall())
+        self._admitted = 0
+        self._motor_sequence = 0
+        self._held: FloatVector | None = None
+        self._sampled = time.monotonic_ns()
+        self._position, self._velocity, self._effort = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._imu = ImuMeasurement(0, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+        self._wrenches = {place: np.zeros(6) for place in ("left_foot", "right_foot", "left_hand", "right_hand")}
+        self._voltage = NOMINAL_VOLTAGE
+        self._request_states()
+
+    def _require_all_joints(self) -> None:
+        """Raise ``ConfigurationError`` unless each joint is moved by a device, and there is an IMU and foot sensors."""
+        robot = self._robot
+        moved = {joint for name in robot.tables.devices for joint in robot.tables.device_joints(name)}
+        if missing := [joint for joint in robot.joints if joint not in moved]:
+            raise ConfigurationError(f"{robot.folder / 'robot.yaml'}: devices: none moves {', '.join(missing)}")
+
+    def _start(self) -> None:
+        for device in self._devices:
+            self._context.statistics.state("starting", f"finding {device.name}")
+            device.find()
+            _log.info("%s: found, %d units", device.name, len(device.records))
+        for device in self._devices:
+            self._context.statistics.state("starting", f"switching on {device.name}")
+            device.enable()
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        for device in self._devices:
+            thread = threading.Thread(target=self._run, args=(device,), name=device.name, daemon=True)
+            thread.start()
+            self._threads.append(thread)
+
+    def _run(self, device: Device) -> None:
+        """A device's thread; one that ends too early is seen as silence, and told here."""
+        Wall()  # the thread wakes on time
+        try:
+            device.run(self._stopping)
+        except Exception:
+            _log.exception("%s: its thread ended", device.name)
+
+    @property
+    def clock(self) -> str:
+        """``hardware``."""
+        return "hardware"
+
+    @property
+    def slip(self) -> float:
+        """By how much the schedule has moved since start [s]."""
+        return self._pacer.slip
+
+    def advance(self, commands: Commands) -> float:
+        """Hand out the Motor that comes, wait for the end of the period, and have the devices sample."""
+        began = time.perf_counter()
+        remaining = self._pacer.next(self._robot.control_period)
+        commands.listen(max(0.0, remaining))
+        self._hand_out(commands)
+        remaining = self._pacer.remaining()
+        if remaining > 0.0:
+            time.sleep(remaining)
+        self._request_states()
+        for device in self._synchronous:
+            device.gathered.wait(2.0 * GATHERING)
+        return time.perf_counter() - began
+
+    def _request_states(self) -> None:
+        for device in self._synchronous:
+            device.request_states()
+        self._sampled = time.monotonic_ns()
+
+    def _hand_out(self, commands: Commands) -> None:
+        if commands.silent:
+            if self._held is None:
+                self._held = self._position.copy()
+            held, zero = self._held, np.zeros(self._held.size)
+            mode = np.full(held.size, JointMode.POSITION, dtype=np.uint8)
+            motor = Motor(0, self._motor_sequence, 0, mode, held, zero, zero, zero, zero)
+            self._send(motor)
+        elif commands.admitted != self._admitted and commands.motor is not None:
+            self._held = None
+            self._send(commands.motor)
+        self._admitted = commands.admitted
+
+    def _send(self, motor: Motor) -> None:
+        """Hand a sound Motor to the devices; the last place where set-points are brought within limits."""
+        robot = self._robot
+        position = np.minimum(np.maximum(motor.position, robot.lower), robot.upper)
+        effort = np.minimum(np.maximum(motor.effort, -robot.effort_limit), robot.effort_limit)
+        self._motor_sequence = motor.sequence
+        for device in self._moving:
+            places = device.joints
+            device.send(
+                JointCommands(
+                    motor.sequence,
+                    motor.mode[places],
+                    position[places],
+                    motor.velocity[places],
+                    effort[places],
+                    motor.stiffness[places],
+                    motor.damping[places],
+                )
+            )
+
+    def measure(self, sequence: int) -> Proprioceptor:
+        """The newest states of all devices; those of a silent unit are its last."""
+        for device in self._devices:
+            measured = device.measured
+            if isinstance(measured, JointMeasurement):
+                places = device.joints
+                self._position[places] = measured.position
+                self._velocity[places] = measured.velocity
+                self._effort[places] = measured.effort
+            elif isinstance(measured, ImuMeasurement):
+                self._imu = measured
+            elif isinstance(measured, WrenchMeasurement) and isinstance(device, ForceTorque):
+                for place, wrench in zip(device.places, measured.wrench, strict=True):
+                    self._wrenches[place] = wrench
+        imu, wrenches = self._imu, self._wrenches
+        return Proprioceptor(
+            time=self._sampled - self._context.settings.epoch,
+            sequence=sequence,
+            motor_sequence=self._motor_sequence,
+            joint_position=self._position.copy(),
+            joint_velocity=self._velocity.copy(),
+            joint_effort=self._effort.copy(),
+            imu_orientation=imu.orientation,
+            imu_angular_velocity=imu.angular_velocity,
+            imu_linear_acceleration=imu.linear_acceleration,
+            left_foot_wrench=wrenches["left_foot"],
+            right_foot_wrench=wrenches["right_foot"],
+            left_hand_wrench=wrenches["left_hand"],
+            right_hand_wrench=wrenches["right_hand"],
+            battery_voltage=self._voltage,
+        )
+
+    def attend(self) -> None:
+        """Watch the devices; report them when something changes, and every second."""
+        if self._watch.update(time.monotonic_ns()):
+            self._status.publish(self._watch.report(self._sampled - self._context.settings.epoch))
+            voltages = [record.voltage for device in self._moving for record in device.records]
+            if known := [voltage for voltage in voltages if not math.isnan(voltage)]:
+                self._voltage = min(known)
+
+    def pace(self) -> None:
+        """Nothing: the period ended before its states were taken."""
+
+    def close(self) -> None:
+        """End the threads; the motor controllers' watchdogs hold the joints."""
+        self._stopping.set()
+        for device in self._devices:
+            device.wake()
+        for thread in self._threads:
+            thread.join(timeout=1.0)
+        for device in self._devices:
+            device.close()

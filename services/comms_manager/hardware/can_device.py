@@ -1,0 +1,254 @@
+"""What the devices on CAN buses have in common: SYNC out, one STATE a unit back; requests; who is who.
+
+The main loop asks for states (``request_states``); the thread broadcasts SYNC, gathers what is answered, and hands it
+over when all units that were heard lately have answered, or when the time for that is up.
+"""
+
+from __future__ import annotations
+
+import select
+import threading
+import time
+from abc import abstractmethod
+from collections.abc import Mapping
+
+import can
+
+from comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault, UnitRecord
+from valor_common.devices import can_frames
+from valor_common.devices.can_frames import Code, Identity, Reply
+from valor_common.devices.end_to_end import is_sound
+from valor_common.devices.ports import open_can
+
+GATHERING = 0.0015  # from SYNC until states are handed over, whoever has not answered [s]
+ABSENT_AFTER = 10  # SYNCs without an answer, after which nobody waits for a unit any more
+ANSWER_TIME = 0.1  # of a request [s]
+TRIES = 20  # of a request, at start
+TEND_EVERY = 0.1  # units that are not as they should be are asked [s]
+_IDLE = 0.02  # longest sleep of the thread [s]
+
+
+class CanUnit:
+    """A unit as its device knows it."""
+
+    def __init__(self, number: int, identity: Identity, device: str) -> None:
+        self.number = number
+        self.identity = identity  # that it must have
+        self.name = f"{device}/{number}"
+        self.record = UnitRecord(str(number))
+        self.missed = ABSENT_AFTER  # SYNCs in a row without an answer
+        self.warmth = 0  # 0, 1 warm, 2 hot
+        self.weakness = 0  # 0, 1 low voltage, 2 flat
+        self.others: tuple[Ailment, ...] = ()  # besides these two
+        self.ailments: tuple[Ailment, ...] = ()
+
+
+class CanDevice(Device):
+    """Units that sample on SYNC.
+
+    Attributes:
+        gathered: set when the states asked for last have been handed over.
+        units: by number.
+    """
+
+    def __init__(self, name: str, context: DeviceContext, bus: int, units: Mapping[int, CanUnit], length: int) -> None:
+        """``length``: of a STATE [B]."""
+        super().__init__(name, context)
+        self.units = units
+        self.records = tuple(unit.record for unit in units.values())
+        self.gathered = threading.Event()
+        self._number, self._length = bus, length
+        self._bus: can.BusABC | None = None
+        self._states_wanted = False
+        self._counter = 0
+        self._synced = 0  # when SYNC was sent last, monotonic [ns]
+        self._missing: set[int] = set()  # who has not answered it
+        self._awaited: set[int] = set()  # of those, who is waited for
+        self._replies: dict[int, Reply] = {}
+        self._tended = 0.0
+
+    # --- for the main loop ----------------------------------------------------------------------------------------
+
+    def request_states(self) -> None:
+        """Have all units sample now; ``gathered`` is set when that is in."""
+        self.gathered.clear()
+        self._states_wanted = True
+        self.wake()
+
+    # --- start and end --------------------------------------------------------------------------------------------
+
+    def find(self) -> None:
+        """Ask every unit who it is, and get a first state of each."""
+        self._bus = open_can(self.context.settings, self._number)
+        for unit in self.units.values():
+            self._check_identity(unit, self._ask(unit, Code.IDENTIFY, f"expected {_described(unit.identity)}"))
+        deadline = time.monotonic() + TRIES * ANSWER_TIME
+        while self.measured is None or any(not record.states for record in self.records):
+            if time.monotonic() > deadline:
+                mute = next(unit for unit in self.units.values() if not unit.record.states)
+                raise DeviceError(f"{mute.name}: it says who it is, but no state came from it after SYNC")
+            self._sync()
+            while self._missing and time.monotonic_ns() - self._synced < 1e9 * ANSWER_TIME:
+                self._listen(ANSWER_TIME)
+            self._hand_over()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+        super().close()
+
+    def _ask(self, unit: CanUnit, code: Code, expectation: str) -> Reply:
+        """Ask a unit until it answers, while no thread does."""
+        assert self._bus is not None
+        for _ in range(TRIES):
+            self._replies.pop(unit.number, None)
+            self._bus.send(can_frames.request(unit.number, code))
+            deadline = time.monotonic() + ANSWER_TIME
+            while (remaining := deadline - time.monotonic()) > 0.0:
+                self._listen(remaining)
+                reply = self._replies.get(unit.number)
+                if reply is not None and reply.code == code:
+                    return reply
+        raise DeviceError(
+            f"{unit.name}: no answer on CAN bus {self._number} within {TRIES * ANSWER_TIME:g} s; {expectation}"
+        )
+
+    def _check_identity(self, unit: CanUnit, reply: Reply) -> None:
+        if reply.identity.serial != unit.identity.serial:
+            raise DeviceError(
+                f"{unit.name}: serial number {reply.identity.serial!r}; expected {unit.identity.serial!r} (robot.yaml)"
+            )
+        if reply.identity.firmware != unit.identity.firmware:
+            raise DeviceError(
+                f"{unit.name}: firmware {reply.identity.firmware!r}; expected {unit.identity.firmware!r} (robot.yaml)"
+            )
+
+    # --- the thread -----------------------------------------------------------------------------------------------
+
+    def run(self, stopping: threading.Event) -> None:
+        """Exchange frames until told to stop."""
+        assert self._bus is not None
+        port, woken = self._bus.fileno(), self.woken
+        while not stopping.is_set():
+            timeout = _IDLE
+            if not self.gathered.is_set() and self._missing:
+                timeout = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
+            ready, _, _ = select.select((port, woken), (), (), timeout)
+            try:
+                if woken in ready:
+                    self.drain_wake()
+                    if self._states_wanted:
+                        self._states_wanted = False
+                        self._sync()
+                    self._send_command()
+                if port in ready:
+                    self._listen(0.0)
+                if not self.gathered.is_set() and not self._states_wanted and self._is_over():
+                    self._hand_over()
+                    self.gathered.set()
+                now = time.monotonic()
+                if now - self._tended > TEND_EVERY:
+                    self._tended = now
+                    self._tend()
+            except can.CanError as error:  # the bus itself fails: units fall silent, and that is told
+                self.tell([Ailment(next(iter(self.records)).unit, Fault.UNPLUGGED, f"CAN bus {self._number}: {error}")])
+                stopping.wait(_IDLE)
+
+    def _is_over(self) -> bool:
+        return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
+
+    def _sync(self) -> None:
+        assert self._bus is not None
+        for number in self._missing:
+            self.units[number].missed += 1
+        self._counter = (self._counter + 1) & 0xFF
+        self._missing = set(self.units)
+        self._awaited = {number for number, unit in self.units.items() if unit.missed < ABSENT_AFTER}
+        self._synced = time.monotonic_ns()
+        self._bus.send(can_frames.sync(self._counter))
+
+    def _listen(self, timeout: float) -> None:
+        """Take in what is on the bus; wait for the first frame."""
+        assert self._bus is not None
+        while True:
+            try:
+                message = self._bus.recv(timeout)
+            except can.CanOperationError:
+                continue  # no CAN frame: on multicast anybody may speak
+            if message is None:
+                return
+            timeout = 0.0
+            kind = message.arbitration_id & can_frames.KIND
+            if kind not in (can_frames.STATE, can_frames.REPLY):
+                continue
+            unit = self.units.get(message.arbitration_id & can_frames.UNIT)
+            if unit is None:
+                continue
+            if kind == can_frames.STATE:
+                self._hear(unit, message)
+            elif reply := can_frames.read_reply(message):
+                self._replies[unit.number] = reply
+            else:
+                unit.record.errors += 1
+
+    def _hear(self, unit: CanUnit, message: can.Message) -> None:
+        """A STATE: refused if it is not sound, not the answer to this SYNC, or the second one."""
+        data, stamp = message.data, time.monotonic_ns()
+        sound = len(data) == self._length and is_sound(message.arbitration_id, data)
+        if not sound or data[0] != self._counter or unit.number not in self._missing or not self._take(unit, data):
+            unit.record.errors += 1
+            return
+        self._missing.discard(unit.number)
+        unit.missed = 0
+        unit.record.received(stamp)
+        unit.record.answered(1e-9 * (stamp - self._synced))
+
+    def _judge(self, unit: CanUnit, temperature: float, voltage: float | None, others: tuple[Ailment, ...]) -> None:
+        """Write down how a unit fares, and tell it when that has changed; ``others``: what else ails it."""
+        record, supply = unit.record, self.context.robot.tables.supply
+        record.temperature = temperature
+        warmth = _level(temperature, (supply.warm, supply.hot), unit.warmth, 3.0)
+        weakness = 0
+        if voltage is not None:
+            record.voltage = voltage
+            weakness = _level(-voltage, (-supply.low, -supply.flat), unit.weakness, 1.0)
+        if warmth == unit.warmth and weakness == unit.weakness and others == unit.others:
+            return
+        unit.warmth, unit.weakness, unit.others = warmth, weakness, others
+        ailments = list(others)
+        if warmth:
+            fault, limit = ((Fault.WARM, supply.warm), (Fault.HOT, supply.hot))[warmth - 1]
+            ailments.append(Ailment(record.unit, fault, f"{temperature:.0f} °C; expected less than {limit:g} °C"))
+        if weakness:
+            fault, limit = ((Fault.LOW_VOLTAGE, supply.low), (Fault.FLAT, supply.flat))[weakness - 1]
+            ailments.append(Ailment(record.unit, fault, f"{voltage:.1f} V; expected more than {limit:g} V"))
+        unit.ailments = tuple(ailments)
+        self.tell([ailment for each in self.units.values() for ailment in each.ailments])
+
+    @abstractmethod
+    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+        """Take in a sound STATE; returns whether its numbers can be believed."""
+
+    @abstractmethod
+    def _hand_over(self) -> None:
+        """Replace ``measured`` by what is known now."""
+
+    def _send_command(self) -> None:
+        """Send the newest command, if there is a new one."""
+
+    def _tend(self) -> None:
+        """Look after units that are not as they should be; ten times a second."""
+
+
+def _level(value: float, limits: tuple[float, float], before: int, hysteresis: float) -> int:
+    """How many of the ascending limits a value reaches; it must fall below one by the hysteresis to count less."""
+    level = 2 if value >= limits[1] else 1 if value >= limits[0] else 0
+    if level < before and value > limits[before - 1] - hysteresis:
+        return before
+    return level
+
+
+def _described(identity: Identity) -> str:
+    return f"serial number {identity.serial}, firmware {identity.firmware}"

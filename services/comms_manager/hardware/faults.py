@@ -1,0 +1,214 @@
+"""What the robot does about a device's fault: a table, and who watches the devices."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from comms_manager.hardware.device import RATE_WINDOW, Device, Fault, Part, UnitRates
+from valor_common.messages import DeviceStatus
+
+STATUS_PERIOD = 1.0  # between reports while nothing changes [s]
+HALF_RATE = 0.5  # of the rate that states should have: less is slow
+LEGS_TO_LIMP = 2  # leg units without motors, from which on the robot cannot carry itself
+_log = logging.getLogger("comms_manager")
+
+
+class Reaction(IntEnum):
+    """What the Motion System shall do, the mildest first; in ``DeviceStatus.reaction`` by name."""
+
+    KEEP_BALANCE = 0  # go on: balance does not need the unit
+    SOFT_STOP = 1  # come to rest, keep balance, obey no commands from outside
+    HOLD = 2  # every joint stays, on its own servo: the balance cannot be known any more
+    LIMP = 3  # no torque: nothing holds the robot, and what would hold parts of it does harm
+
+
+_BALANCE, _STOP, _HOLD = Reaction.KEEP_BALANCE, Reaction.SOFT_STOP, Reaction.HOLD
+
+# fmt: off
+_TABLE: Mapping[Fault, tuple[Reaction, ...]] = {
+    #                   legs    upper body  IMU     foot      hand
+    Fault.SILENT:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
+    Fault.UNPLUGGED:   (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
+    Fault.SLOW:        (_STOP,  _BALANCE,   _STOP,  _STOP,    _BALANCE),
+    Fault.FAULTY:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
+    Fault.DISABLED:    (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
+    Fault.ENCODER:     (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE),
+    Fault.WARM:        (_STOP,  _BALANCE,   _STOP,  _BALANCE, _BALANCE),
+    Fault.HOT:         (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE),
+    Fault.LOW_VOLTAGE: (_STOP,  _BALANCE,   _STOP,  _BALANCE, _BALANCE),
+    Fault.FLAT:        (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE),
+}
+# fmt: on
+
+REACTIONS: Mapping[Fault, Mapping[Part, Reaction]] = {
+    fault: dict(zip((Part.LEGS, Part.UPPER_BODY, Part.IMU, Part.FOOT, Part.HAND), row, strict=True))
+    for fault, row in _TABLE.items()
+}
+"""Besides it: two leg units or more without motors, and the robot goes limp."""
+
+_STATES: Mapping[Fault, str] = {
+    Fault.SILENT: "silent",
+    Fault.UNPLUGGED: "unplugged",
+    Fault.DISABLED: "disabled",
+}
+"""``DeviceStatus.states`` by the worst fault; all others are ``faulty``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """A fault, and what the robot does about it."""
+
+    unit: str  # device/unit
+    part: Part
+    fault: Fault
+    detail: str
+    reaction: Reaction
+
+
+class _Unit:
+    """What the watch keeps of one unit."""
+
+    def __init__(self, device: Device, row: int) -> None:
+        self.device = device
+        self.record = device.records[row]
+        # A device of one unit goes by its own name.
+        self.name = f"{device.name}/{self.record.unit}" if self.record.unit != device.name else device.name
+        self.part = device.part(self.record.unit)
+        self.rates = UnitRates(self.record)
+        self.silent_after = round(1e9 * device.silent_after)
+        self.silent = self.slow = False
+
+
+class DeviceWatch:
+    """Watches all devices from the main loop.
+
+    Attributes:
+        troubles: what is wrong now.
+        reaction: the gravest among them.
+    """
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self._units = [_Unit(device, row) for device in devices for row in range(len(device.records))]
+        self._devices = devices
+        self._seen: tuple[object, ...] = ()
+        self._silent: frozenset[str] = frozenset()
+        self._rates_due = self._due = 0.0
+        self.troubles: tuple[Trouble, ...] = ()
+        self.reaction = Reaction.KEEP_BALANCE
+
+    def update(self, now: int) -> bool:
+        """Look at all devices at monotonic ``now`` [ns]; returns whether a report is due."""
+        changed = False
+        for unit in self._units:
+            silent = now - unit.record.stamp > unit.silent_after
+            if silent is not unit.silent:
+                unit.silent, changed = silent, True
+        seconds = 1e-9 * now
+        if seconds >= self._rates_due:
+            self._rates_due = seconds + RATE_WINDOW
+            changed |= self._look_at_rates()
+        ailments = tuple(device.ailments for device in self._devices)
+        if any(a is not b for a, b in zip(ailments, self._seen, strict=False)) or not self._seen:
+            self._seen, changed = ailments, True
+        if changed:
+            self._judge()
+        if changed or seconds >= self._due:
+            self._due = seconds + STATUS_PERIOD
+            return True
+        return False
+
+    def _look_at_rates(self) -> bool:
+        changed = False
+        now = time.monotonic()
+        for unit in self._units:
+            unit.rates.update(now)
+            slow = not unit.silent and unit.rates.rate < HALF_RATE * unit.device.rate
+            if slow is not unit.slow:
+                unit.slow, changed = slow, True
+        return changed
+
+    def _judge(self) -> None:
+        troubles = []
+        for unit in self._units:
+            if unit.silent:
+                text = f"no sound state for {1e-9 * unit.silent_after:g} s"
+                troubles.append(self._trouble(unit, Fault.SILENT, text))
+            elif unit.slow:
+                text = f"{unit.rates.rate:.0f} states a second; expected {unit.device.rate:g}"
+                troubles.append(self._trouble(unit, Fault.SLOW, text))
+            troubles += [
+                self._trouble(unit, ailment.fault, ailment.detail)
+                for ailment in unit.device.ailments
+                if ailment.unit == unit.record.unit
+            ]
+        before, self.troubles = self.troubles, tuple(troubles)
+        powerless = {each.unit for each in troubles if each.part is Part.LEGS and each.fault is Fault.DISABLED}
+        self.reaction = (
+            Reaction.LIMP
+            if len(powerless) >= LEGS_TO_LIMP
+            else max((trouble.reaction for trouble in troubles), default=Reaction.KEEP_BALANCE)
+        )
+        known = {(trouble.unit, trouble.fault) for trouble in before}
+        for trouble in troubles:
+            if (trouble.unit, trouble.fault) not in known:
+                _log.warning("%s: %s: %s", trouble.unit, trouble.detail, _spoken(trouble.reaction))
+        left = {(trouble.unit, trouble.fault) for trouble in troubles}
+        for trouble in before:
+            if (trouble.unit, trouble.fault) not in left:
+                _log.info("%s: no longer %s", trouble.unit, trouble.fault.replace("_", " "))
+
+    @staticmethod
+    def _trouble(unit: _Unit, fault: Fault, detail: str) -> Trouble:
+        return Trouble(unit.name, unit.part, fault, detail, REACTIONS[fault][unit.part])
+
+    @property
+    def reason(self) -> str:
+        """The gravest trouble in one line, the device named; empty: none."""
+        gravest = max(self.troubles, key=lambda trouble: trouble.reaction, default=None)
+        return "" if gravest is None else f"{gravest.unit}: {gravest.detail}"
+
+    def report(self, robot_time: int) -> DeviceStatus:
+        """How all units fare."""
+        now = time.monotonic()
+        faults: dict[str, list[Trouble]] = {}
+        for trouble in self.troubles:
+            faults.setdefault(trouble.unit, []).append(trouble)
+        units = self._units
+        for unit in units:
+            unit.rates.update(now)
+        return DeviceStatus(
+            time=robot_time,
+            units=[unit.name for unit in units],
+            states=[_state(faults.get(unit.name, [])) for unit in units],
+            details=["; ".join(trouble.detail for trouble in faults.get(unit.name, [])) for unit in units],
+            rate=np.array([unit.rates.rate for unit in units]),
+            latency=np.array([unit.rates.latency for unit in units]),
+            age=np.array([unit.rates.age(now) for unit in units]),
+            temperature=np.array([unit.record.temperature for unit in units]),
+            voltage=np.array([unit.record.voltage for unit in units]),
+            errors=np.array([float(unit.record.errors) for unit in units]),
+            reaction=self.reaction.name.lower(),
+            reason=self.reason,
+        )
+
+
+def _state(troubles: Sequence[Trouble]) -> str:
+    for fault in (Fault.UNPLUGGED, Fault.SILENT, Fault.DISABLED):
+        if any(trouble.fault is fault for trouble in troubles):
+            return _STATES[fault]
+    return "faulty" if troubles else "ok"
+
+
+def _spoken(reaction: Reaction) -> str:
+    return {
+        Reaction.KEEP_BALANCE: "the robot goes on",
+        Reaction.SOFT_STOP: "the robot comes to rest",
+        Reaction.HOLD: "the robot holds its joints",
+        Reaction.LIMP: "the robot goes limp",
+    }[reaction]

@@ -1,0 +1,52 @@
+"""Force/torque sensors in feet and wrists, on CAN."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from comms_manager.hardware.can_device import CanDevice, CanUnit
+from comms_manager.hardware.device import DeviceContext, IntVector, Part, WrenchMeasurement
+from valor_common.devices import can_frames
+from valor_common.devices.can_frames import Identity
+from valor_common.devices.table import FtCan
+
+MOST = 20_000.0  # force [N] and torque [N·m]: more is nonsense
+
+
+class ForceTorque(CanDevice):
+    """The sensors on one bus.
+
+    Attributes:
+        places: which of Proprioceptor's wrenches each gives, in order.
+    """
+
+    def __init__(self, name: str, context: DeviceContext) -> None:
+        table = context.robot.tables.devices[name]
+        assert isinstance(table, FtCan)
+        units = {each.id: CanUnit(each.id, Identity(each.serial, each.firmware), name) for each in table.sensors}
+        super().__init__(name, context, table.bus, units, can_frames.SENSOR_STATE_LENGTH)
+        self.places = tuple(each.at for each in table.sensors)
+        self._row = {number: row for row, number in enumerate(units)}
+        self._stamp: IntVector = np.zeros(len(units), dtype=np.int64)
+        self._wrench = np.zeros((len(units), 6))
+
+    def part(self, unit: str) -> Part:
+        """Feet or hands."""
+        return Part.FOOT if self.places[self._row[int(unit)]].endswith("foot") else Part.HAND
+
+    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+        _, _, temperature, *wrench = can_frames.SENSOR_STATE.unpack_from(data)
+        size = max(map(abs, wrench))
+        if not (math.isfinite(sum(wrench)) and size < MOST):
+            return False
+        row = self._row[unit.number]
+        self._wrench[row] = wrench
+        self._stamp[row] = time.monotonic_ns()
+        self._judge(unit, 0.1 * temperature, None, ())
+        return True
+
+    def _hand_over(self) -> None:
+        self.measured = WrenchMeasurement(self._stamp.copy(), self._wrench.copy())

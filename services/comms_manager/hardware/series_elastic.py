@@ -1,0 +1,236 @@
+"""Legs and waist: series-elastic actuators behind motor controllers on CAN FD. The torque loop is the controllers'."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from comms_manager.hardware.can_device import CanDevice, CanUnit
+from comms_manager.hardware.device import (
+    Ailment,
+    DeviceContext,
+    DeviceError,
+    Fault,
+    IntVector,
+    JointCommands,
+    JointMeasurement,
+)
+from valor_common.devices import can_frames
+from valor_common.devices.can_frames import Code, Identity
+from valor_common.devices.table import MotorController, SeaCanFd
+from valor_common.messages import JointMode
+from valor_common.robot import FloatVector
+
+JUMP_MARGIN = 0.05  # of a joint's position from one state to the next, besides what its velocity limit gives [rad]
+JUMPS_TO_FAULT = 3  # implausible positions in a row, after which it is the encoder
+ENABLE_WITHIN = 0.1  # of the set-point: only there is a controller that had lost its power switched on again [rad]
+
+# As plain numbers: the flags' own arithmetic is dear, and this is done for every state.
+_ENABLED = int(can_frames.Status.ENABLED)
+_CALIBRATED = int(can_frames.Status.CALIBRATED)
+_FAULTS = {
+    int(can_frames.Status.ENCODER_FAULT): "it reports a fault of its encoder",
+    int(can_frames.Status.INTERNAL_FAULT): "it reports an internal fault",
+}
+_ANY_FAULT = sum(_FAULTS)
+
+
+class _Controller(CanUnit):
+    """A motor controller; ``rows``: of its axes among the device's joints."""
+
+    def __init__(self, table: MotorController, device: str, first: int) -> None:
+        super().__init__(table.id, Identity(table.serial, table.firmware), device)
+        self.rows = range(first, first + len(table.axes))
+        self.jumps = 0  # implausible positions in a row
+        self.jumped: list[int] = []  # rows whose encoder cannot be believed any more
+        self.status = 0
+        self.known = True  # that this is the unit it must be; not after it had lost its power
+
+
+class SeriesElastic(CanDevice):
+    """All controllers on one bus."""
+
+    def __init__(self, name: str, context: DeviceContext) -> None:
+        robot = context.robot
+        table = robot.tables.devices[name]
+        assert isinstance(table, SeaCanFd)
+        self._controllers: dict[int, _Controller] = {}
+        first = 0
+        for controller in table.controllers:
+            self._controllers[controller.id] = _Controller(controller, name, first)
+            first += len(controller.axes)
+        super().__init__(name, context, table.bus, self._controllers, can_frames.CONTROLLER_STATE_LENGTH)
+        m = len(self.joints)
+        self._names = table.joints
+        calibration = robot.tables.calibration
+        self._offset = np.array([calibration.offsets.get(joint, 0.0) for joint in self._names])
+        self._step_limit = 2.0 * robot.velocity_limit[self.joints]
+        self._stamp: IntVector = np.zeros(m, dtype=np.int64)
+        self._encoder, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
+        self._raw = np.zeros(m)  # what the encoders say, believed or not
+        self._commands = np.zeros(len(self._controllers), dtype=can_frames.COMMAND_TYPE)
+        axes = self._commands["axis"].reshape(-1)
+        self._axis = {field: axes[field] for field in ("position", "velocity", "effort", "stiffness", "damping")}
+        self._mode = self._commands["mode"].reshape(-1)
+        self._slots = np.array(
+            [
+                can_frames.AXES * k + axis
+                for k, unit in enumerate(self._controllers.values())
+                for axis in range(len(unit.rows))
+            ],
+            dtype=np.intp,
+        )
+        self._sent: JointCommands | None = None
+        self._enabled = False
+
+    # --- start and end --------------------------------------------------------------------------------------------
+
+    def find(self) -> None:
+        """Ask every controller who it is, and check that the joints are where the robot hangs."""
+        super().find()
+        assert isinstance(self.measured, JointMeasurement)
+        robot = self.context.robot
+        pose = robot.tables.nominal_posture | robot.tables.calibration.pose
+        for unit in self._controllers.values():
+            if unit.status & _CALIBRATED:
+                continue  # it has had power ever since that was checked: the robot may be anywhere
+            for row in unit.rows:
+                position, expected = float(self.measured.position[row]), pose.get(self._names[row], 0.0)
+                if abs(position - expected) > robot.tables.calibration.tolerance:
+                    raise DeviceError(
+                        f"{unit.name}: {self._names[row]} is at {position:.3f} rad; expected {expected:.3f} "
+                        f"± {robot.tables.calibration.tolerance:g} in the calibration pose "
+                        "(robot.yaml: calibration.offsets)"
+                    )
+
+    def enable(self) -> None:
+        """Switch the motors on, controller after controller; each holds its joints where they are."""
+        for unit in self._controllers.values():
+            for code in (Code.CALIBRATED, Code.ENABLE):
+                if not self._ask(unit, code, f"expected it to do as asked ({code.name.lower()})").done:
+                    raise DeviceError(
+                        f"{unit.name}: it refuses to be {code.name.lower()}; expected its motors to be on"
+                    )
+        self._enabled = True
+
+    # --- the thread -----------------------------------------------------------------------------------------------
+
+    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+        assert isinstance(unit, _Controller)
+        _, status, _, *axes = can_frames.CONTROLLER_STATE.unpack_from(data)
+        now = time.monotonic_ns()
+        elapsed = 1e-9 * (now - unit.record.stamp) if unit.record.stamp else 1e9
+        encoder, raw = self._encoder, self._raw
+        jumped = [
+            row
+            for k, row in enumerate(unit.rows)
+            if not abs(axes[4 * k] - encoder[row]) <= self._step_limit[row] * elapsed + JUMP_MARGIN
+        ]  # what is not a number has jumped
+        for k, row in enumerate(unit.rows):
+            raw[row] = axes[4 * k]
+        fresh = [row for row in jumped if row not in unit.jumped]
+        if fresh:
+            unit.jumps += 1
+            if unit.jumps < JUMPS_TO_FAULT:
+                return False
+            unit.jumped = unit.jumped + fresh
+        unit.jumps = 0
+        for k, row in enumerate(unit.rows):
+            if row in unit.jumped:
+                self._velocity[row] = 0.0
+            else:
+                encoder[row], self._velocity[row] = axes[4 * k], axes[4 * k + 1]
+            self._effort[row] = axes[4 * k + 2]
+            self._stamp[row] = now
+        if status != unit.status or unit.jumped:
+            self._status_changed(unit, status)
+        self._judge(unit, 0.1 * max(axes[8], axes[9]), 0.01 * axes[10], self._others(unit))
+        return True
+
+    def _status_changed(self, unit: _Controller, status: int) -> None:
+        if unit.status & _ENABLED and not status & _ENABLED:
+            unit.known = False
+        unit.status = status
+
+    def _others(self, unit: _Controller) -> tuple[Ailment, ...]:
+        """What ails a controller besides temperature and voltage."""
+        if unit.status & _ENABLED and not unit.jumped and not unit.status & _ANY_FAULT:
+            return ()
+        name, others = unit.record.unit, []
+        if unit.jumped:
+            joints = ", ".join(self._names[row] for row in unit.jumped)
+            others.append(
+                Ailment(name, Fault.ENCODER, f"the encoder of {joints} jumped; to be calibrated, then restarted")
+            )
+        if self._enabled and not unit.status & _ENABLED:
+            others.append(Ailment(name, Fault.DISABLED, "its motors are off: it had lost its power"))
+        others += [Ailment(name, Fault.FAULTY, text) for flag, text in _FAULTS.items() if unit.status & flag]
+        return tuple(others)
+
+    def _hand_over(self) -> None:
+        self.measured = JointMeasurement(
+            self._stamp.copy(), self._encoder - self._offset, self._velocity.copy(), self._effort.copy()
+        )
+
+    def _send_command(self) -> None:
+        command = self.command
+        if command is None or command is self._sent:
+            return
+        assert self._bus is not None
+        self._sent = command
+        slots = self._slots
+        self._commands["sequence"] = command.sequence & 0xFFFF
+        self._mode[slots] = command.mode
+        self._axis["position"][slots] = command.position + self._offset
+        for field, value in (
+            ("velocity", command.velocity),
+            ("effort", command.effort),
+            ("stiffness", command.stiffness),
+            ("damping", command.damping),
+        ):
+            self._axis[field][slots] = value
+        for unit in self._controllers.values():
+            if unit.jumped:
+                self._hold_by_encoder(unit)
+        for message in can_frames.command_frames(tuple(self._controllers), self._commands):
+            self._bus.send(message)
+
+    def _hold_by_encoder(self, unit: _Controller) -> None:
+        """Have joints whose encoder jumped stay: the controller's servo goes by the same encoder, wherever that is."""
+        for row in unit.jumped:
+            slot = self._slots[row]
+            if self._mode[slot] != JointMode.OFF:
+                self._mode[slot] = JointMode.POSITION
+                self._axis["position"][slot] = self._raw[row]
+                self._axis["velocity"][slot] = self._axis["effort"][slot] = 0.0
+
+    def _tend(self) -> None:
+        """Find controllers again that had lost their power, and switch them on where that moves nothing."""
+        if not self._enabled:
+            return
+        assert self._bus is not None
+        for unit in self._controllers.values():
+            if unit.status & _ENABLED or unit.missed:
+                continue
+            reply = self._replies.pop(unit.number, None)
+            if reply is not None and reply.code == Code.IDENTIFY and reply.identity == unit.identity:
+                unit.known = True
+            if not unit.known:
+                self._bus.send(can_frames.request(unit.number, Code.IDENTIFY))
+            elif self._may_enable(unit.rows):
+                self._bus.send(can_frames.request(unit.number, Code.CALIBRATED))
+                self._bus.send(can_frames.request(unit.number, Code.ENABLE))
+
+    def _may_enable(self, rows: Sequence[int]) -> bool:
+        """Whether switching on would move nothing: wanted are no torques, or places where the joints are."""
+        command = self.command
+        if command is None:
+            return False
+        position: FloatVector = self._encoder - self._offset
+        return all(
+            command.mode[row] == JointMode.OFF
+            or (command.mode[row] == JointMode.POSITION and abs(command.position[row] - position[row]) < ENABLE_WITHIN)
+            for row in rows
+        )

@@ -1,0 +1,119 @@
+"""What the emulated devices on CAN buses have in common: who they are, when they answer, and how answers go wrong."""
+
+from __future__ import annotations
+
+import random
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Mapping
+
+import can
+
+from device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
+from device_emulators.robot import SimulatedRobot
+from valor_common.devices import can_frames
+from valor_common.devices.can_frames import Code, Identity
+
+LATENESS = 0.03  # of late answers [s]
+SLOWNESS = 10  # a slow unit answers one of so many
+
+
+class CanEmulator(Emulator):
+    """Units on one bus. Each samples and answers when SYNC comes."""
+
+    def __init__(self, name: str, bus: can.BusABC, identities: Mapping[int, Identity], faults: FaultSwitches) -> None:
+        """``identities``: of the units, by number; their names among ``faults`` are their numbers."""
+        super().__init__(name, faults)
+        self._bus = bus
+        self._identities = identities
+        self._names = {unit: str(unit) for unit in identities}
+        self._late: deque[tuple[float, can.Message]] = deque()
+        self._random = random.Random(0)
+        self._syncs = 0
+        self._dead: set[int] = set()
+
+    def files(self) -> tuple[int, ...]:
+        """The bus' socket."""
+        return (self._bus.fileno(),)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.shutdown()
+
+    def step(self, now: float, robot: SimulatedRobot) -> None:
+        """Read the bus, obey, and answer."""
+        for unit, name in self._names.items():
+            if self.faults.active(name, EmulatedFault.UNPLUGGED, now) != (unit in self._dead):
+                self._dead ^= {unit}
+                self._power_changed(unit, unit not in self._dead, robot)
+        while True:
+            try:
+                message = self._bus.recv(0.0)
+            except can.CanOperationError:
+                continue  # no CAN frame
+            if message is None:
+                break
+            self._hear(message, now, robot)
+        self._pass_time(now, robot)
+        while self._late and self._late[0][0] <= now:
+            self._bus.send(self._late.popleft()[1])
+
+    def _hear(self, message: can.Message, now: float, robot: SimulatedRobot) -> None:
+        identifier = message.arbitration_id
+        if identifier == can_frames.SYNC:
+            counter = can_frames.read_small(message)
+            if counter is not None:
+                self._syncs += 1
+                for unit in self._identities:
+                    if unit not in self._dead:
+                        self._answer(unit, self._state(unit, counter, now, robot), now)
+            return
+        unit = identifier & can_frames.UNIT
+        if unit not in self._identities or unit in self._dead:
+            return
+        kind = identifier & can_frames.KIND
+        if kind == can_frames.REQUEST:
+            code = can_frames.read_small(message)
+            if code is not None:
+                done = code == Code.IDENTIFY or self._obey(unit, code, now, robot)
+                if not self.faults.active(self._names[unit], EmulatedFault.SILENT, now):
+                    self._bus.send(can_frames.reply(unit, code, done, self._identities[unit]))
+        elif kind == can_frames.COMMAND:
+            self._command(unit, message, now, robot)
+
+    def _answer(self, unit: int, data: bytes, now: float) -> None:
+        """Send a STATE, unless a fault has it that it goes otherwise."""
+        name, identifier, active = self._names[unit], can_frames.STATE + unit, self.faults.active
+        if active(name, EmulatedFault.SILENT, now):
+            return
+        if active(name, EmulatedFault.SLOW, now) and self._syncs % SLOWNESS:
+            return
+        if active(name, EmulatedFault.GARBAGE, now):
+            data = self._random.randbytes(len(data))
+        elif active(name, EmulatedFault.BAD_CHECKSUM, now):
+            data = data[:-1] + bytes([data[-1] ^ 0x5A])
+        message = can_frames.frame(identifier, data)
+        if active(name, EmulatedFault.LATE, now):
+            self._late.append((now + LATENESS, message))
+            return
+        self._bus.send(message)
+        if active(name, EmulatedFault.DUPLICATE, now):
+            self._bus.send(message)
+
+    @abstractmethod
+    def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
+        """What a unit says of itself now: the data of its STATE frame."""
+
+    @abstractmethod
+    def _power_changed(self, unit: int, on: bool, robot: SimulatedRobot) -> None:
+        """A unit has lost its supply, or got it back."""
+
+    def _obey(self, unit: int, code: int, now: float, robot: SimulatedRobot) -> bool:
+        """Do as a request other than for identity says; returns whether that was possible."""
+        return False
+
+    def _command(self, unit: int, message: can.Message, now: float, robot: SimulatedRobot) -> None:
+        """Obey a COMMAND; sensors have no use for it."""
+
+    def _pass_time(self, now: float, robot: SimulatedRobot) -> None:
+        """What happens without anything being heard."""

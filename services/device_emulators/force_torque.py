@@ -1,0 +1,40 @@
+"""Force/torque sensors in feet and wrists."""
+
+from __future__ import annotations
+
+from device_emulators.can_emulator import CanEmulator
+from device_emulators.emulator import EmulatedFault, FaultSwitches
+from device_emulators.robot import SimulatedRobot
+from valor_common.devices import can_frames
+from valor_common.devices.can_frames import Identity, Status
+from valor_common.devices.end_to_end import protect
+from valor_common.devices.ports import open_can
+from valor_common.devices.table import FtCan
+from valor_common.instance import Instance, Settings
+from valor_common.robot import FloatVector, RobotDescription
+
+FEVER, NORMAL = 90.0, 31.0  # [°C]
+
+_KINDS = frozenset(EmulatedFault) - {EmulatedFault.ENCODER_JUMP, EmulatedFault.UNDER_VOLTAGE}
+
+
+class ForceTorqueEmulator(CanEmulator):
+    """The sensors on one CAN bus."""
+
+    def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:
+        table = robot.tables.devices[name]
+        assert isinstance(table, FtCan)
+        identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in table.sensors}
+        faults = FaultSwitches(tuple(map(str, identities)), _KINDS)
+        super().__init__(name, open_can(settings, table.bus), identities, faults)
+        self._places = {unit.id: f"{unit.at}_wrench" for unit in table.sensors}
+
+    def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
+        wrench: FloatVector = getattr(robot.measured, self._places[unit])
+        hot = self.faults.active(self._names[unit], EmulatedFault.OVER_TEMPERATURE, now)
+        status = Status.OVER_TEMPERATURE if hot else Status(0)
+        content = can_frames.SENSOR_STATE.pack(counter, status, round(10.0 * (FEVER if hot else NORMAL)), *wrench)
+        return protect(can_frames.STATE + unit, content)
+
+    def _power_changed(self, unit: int, on: bool, robot: SimulatedRobot) -> None:
+        """It forgets nothing that matters."""

@@ -1,0 +1,33 @@
+"""Which emulator stands at the far end of which kind of device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from device_emulators.emulator import Emulator
+from device_emulators.force_torque import ForceTorqueEmulator
+from device_emulators.series_elastic import SeriesElasticEmulator
+from valor_common.errors import ConfigurationError
+from valor_common.instance import Instance, Settings
+from valor_common.robot import RobotDescription
+
+Maker = Callable[[str, Instance, Settings, RobotDescription], Emulator]
+
+KINDS: Mapping[str, Maker] = {
+    "sea_can_fd": SeriesElasticEmulator,
+    "ft_can": ForceTorqueEmulator,
+}
+
+
+def make(name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> Emulator:
+    """The emulator of a device.
+
+    Raises:
+        ConfigurationError: there is none of its kind, or its port cannot be opened.
+    """
+    kind = robot.tables.devices[name].kind
+    if kind not in KINDS:
+        raise ConfigurationError(
+            f"{robot.folder / 'robot.yaml'}: devices.{name}: no emulator of kind {kind}; expected {', '.join(KINDS)}"
+        )
+    return KINDS[kind](name, instance, settings, robot)

@@ -1,0 +1,48 @@
+"""Where devices are plugged in: CAN buses by number, serial ports by the device's name.
+
+The instance's settings may name real ones: ``can0: socketcan:can0``, ``imu: /dev/ttyACM0``. What they do not name is
+where the device emulators are: a CAN bus is UDP multicast that does not leave the computer, on a port of the instance's
+own; a serial port is a pseudo-terminal, linked to ``ports/<device>`` in the instance's folder.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import can
+
+from valor_common.errors import ConfigurationError
+from valor_common.instance import Instance, Settings
+
+_FIRST_PORT = 5500  # UDP; eight for each ROS domain, of which there are 101
+_BUSES = 8
+
+
+def serial_port(instance: Instance, settings: Settings, device: str) -> Path:
+    """The serial port of a device."""
+    return Path(settings.ports.get(device) or instance.ports / device)
+
+
+def open_can(settings: Settings, bus: int, data_bit_rate: int = 5_000_000) -> can.BusABC:
+    """Open a CAN FD bus; what others send is received, and on multicast one's own frames as well.
+
+    Raises:
+        ConfigurationError: it cannot be opened.
+    """
+    if not 0 <= bus < _BUSES:
+        raise ConfigurationError(f"CAN bus {bus}: expected 0 to {_BUSES - 1}")
+    name = f"can{bus}"
+    try:
+        if place := settings.ports.get(name):
+            interface, _, channel = place.partition(":")
+            return can.Bus(interface=interface, channel=channel, fd=True, data_bitrate=data_bit_rate)
+        domain = settings.ros_domain_id
+        return can.Bus(
+            interface="udp_multicast",
+            channel=f"239.255.{domain}.{bus}",
+            port=_FIRST_PORT + _BUSES * domain + bus,
+            hop_limit=0,
+            fd=True,
+        )
+    except (can.CanError, can.CanInterfaceNotImplementedError, OSError, ValueError) as error:
+        raise ConfigurationError(f"port {name}: cannot be opened: {' '.join(str(error).split())}") from None
