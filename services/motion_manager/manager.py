@@ -15,6 +15,7 @@ import numpy as np
 from motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from motion_manager.behaviors import BALANCING, RECOVERING, Behavior, Locomotion, Manipulation
 from motion_manager.command import MotorCommand
+from motion_manager.device_reactions import DeviceReactions
 from motion_manager.hand_contact import HandContacts
 from motion_manager.hand_goals import HandGoals
 from motion_manager.handlers.behavior import BehaviorHandler
@@ -72,6 +73,7 @@ class MotionManager:
         pelvis_handler: follows or refuses where the pelvis shall be.
         hand_goals: Cartesian goals of the hands; hand_goal_handler: obeys or refuses them.
         tuning_handler: obeys or refuses joint gains and balance weights.
+        device_reactions: goes to safer behaviors when devices fail.
         in_control: whether a believable Proprioceptor has been answered.
         silent: set by the loop: why no Proprioceptor comes, or an empty text.
     """
@@ -119,6 +121,7 @@ class MotionManager:
         )
         self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
         self.pelvis_handler = PelvisHandler(self.fsm, self._controller.pelvis, self.rejections)
+        self.device_reactions = DeviceReactions(self.fsm, lambda: self._controller.stepping)
         self._recovering = False  # said to be
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
         self._state: RobotState | None = None
@@ -204,6 +207,7 @@ class MotionManager:
         self._watch(state)
         if self.fsm.behavior is Behavior.IDLE and not self.in_control:
             self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
+        self.device_reactions.update()
         now = self._time * 1e-9
         self._upper_body.enter(self.fsm.manipulation, self.fsm.attention, now)
         if self.fsm.locomotion is not self._locomotion:

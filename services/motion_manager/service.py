@@ -13,6 +13,7 @@ from valor_common.messages import (
     BalanceWeights,
     BehaviorReply,
     BehaviorRequest,
+    DeviceStatus,
     FootstepPlanReply,
     FootstepPlanRequest,
     HandGoal,
@@ -32,6 +33,7 @@ from valor_common.service import Context, quiet_collector
 from valor_common.topics import (
     BALANCE_WEIGHTS,
     BEHAVIOR,
+    DEVICES,
     FOOTSTEP_PLAN,
     HAND_GOAL,
     HAND_GOAL_STATUS,
@@ -88,6 +90,7 @@ class MotionManagerService:
         self._footstep_plan = node.server(
             FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle
         )
+        self._devices = node.subscriber(DEVICES.name, DeviceStatus)
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
         self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
         self._changes = self._manager.fsm.changes
@@ -151,6 +154,8 @@ class MotionManagerService:
     def _attend(self) -> None:
         """What may wait until the Motor has left: requests, reports, counts."""
         manager = self._manager
+        if (devices := self._devices.latest()) is not None and devices.origin == DEVICES.publisher:
+            manager.device_reactions.hear(devices.message)
         self._behavior.serve()
         self._footstep_plan.serve()
         for rejection in manager.rejections.take():

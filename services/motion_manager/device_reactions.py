@@ -1,0 +1,57 @@
+"""What is done about devices that fail: the Comms Manager says what is demanded, the tables how to get there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from motion_manager.behavior_fsm import BehaviorFsm
+from motion_manager.behaviors import Behavior
+from valor_common.messages import DeviceStatus
+
+_B = Behavior
+
+DEMANDS: Mapping[str, tuple[Behavior, ...]] = {
+    "keep_balance": (),
+    "soft_stop": (_B.SOFT_STOP,),
+    "hold": (_B.FREEZE, _B.SOFT_STOP),
+    "limp": (_B.FALL, _B.SOFT_STOP, _B.FREEZE),
+}
+"""``DeviceStatus.reaction`` → behaviors, the wanted one first; the others are ways there, or better than nothing."""
+
+_ENOUGH: Mapping[str, frozenset[Behavior]] = {
+    "keep_balance": frozenset(Behavior),
+    # Before it balances, the robot stands on its servos and obeys nobody.
+    "soft_stop": frozenset({_B.SOFT_STOP, _B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE, _B.STAND_PREP}),
+    "hold": frozenset({_B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE}),
+    "limp": frozenset({_B.FALL, _B.GET_UP, _B.IDLE}),
+}
+"""Behaviors in which nothing more is to be done."""
+
+
+class DeviceReactions:
+    """Follows the Comms Manager's word on the devices, as long as it says so; never leads back by itself."""
+
+    def __init__(self, fsm: BehaviorFsm, stepping: Callable[[], bool]) -> None:
+        """``stepping``: whether a step has not come to rest; until then the joints cannot be held."""
+        self._fsm = fsm
+        self._stepping = stepping
+        self._demand = "keep_balance"
+        self._reason = ""
+
+    def hear(self, status: DeviceStatus) -> None:
+        """Take note of the newest word; one that is not known is taken for the gravest that keeps the robot up."""
+        self._demand = status.reaction if status.reaction in DEMANDS else "hold"
+        self._reason = status.reason
+
+    def update(self) -> None:
+        """Once a period: go where the devices' condition demands."""
+        if self._fsm.behavior in _ENOUGH[self._demand]:
+            return
+        for behavior in DEMANDS[self._demand]:
+            if behavior is Behavior.FREEZE and self._stepping():
+                continue
+            if behavior is self._fsm.behavior:
+                return
+            if self._fsm.may_go(behavior):
+                self._fsm.go(behavior, self._reason)
+                return
