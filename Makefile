@@ -22,9 +22,11 @@ $(STAMP): pyproject.toml requirements.txt $(WHEELS)
 	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
 	@# The ROS wheels carry egg-infos, which a second sync would take for packages too many and remove, modules and all.
 	rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
-	$(UV) pip sync --quiet --python $(BIN)/python --require-hashes requirements.txt
-	$(UV) pip install --quiet --python $(BIN)/python --no-deps --reinstall-package valor-interfaces build/wheels/*.whl
+	$(UV) pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes requirements.txt
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces build/wheels/*.whl
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable .
+	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
+	$(BIN)/python -m compileall -q bifrost services valor_analysis valor_common valorctl tests
 	touch $@
 
 # The ROS 2 message packages, compiled once. The compiler and the headers are looked for first: their absence would

@@ -11,6 +11,7 @@ import gc
 import logging
 import math
 import os
+import resource
 import signal
 import sys
 import threading
@@ -18,8 +19,6 @@ import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Protocol, Self
-
-import psutil
 
 import bifrost
 from valor_common.errors import ConfigurationError
@@ -82,8 +81,7 @@ class StatisticsPublisher:
         node.discovery.watch("subscriber", STATISTICS[service].name, self._listeners_changed)
         self._service = service
         self._control_period = control_period
-        self._process = psutil.Process()
-        self._process.cpu_percent()
+        self._cpu_time = time.process_time()
         self._state, self._detail = "starting", ""
         self._cycles = self._overruns = 0
         self.drops = self.rejected = 0
@@ -147,6 +145,7 @@ class StatisticsPublisher:
 
     def _publish(self, now: float) -> None:
         cycles = max(1, self._window_cycles)
+        cpu_time = time.process_time()
         self._newest = Statistics(
             service=self._service,
             pid=os.getpid(),
@@ -158,13 +157,20 @@ class StatisticsPublisher:
             period_mean=self._period_sum / cycles,
             period_max=self._period_max,
             overruns=self._overruns,
-            cpu_percent=self._process.cpu_percent(),
-            memory_mib=self._process.memory_info().rss / 2**20,
+            cpu_percent=100.0 * (cpu_time - self._cpu_time) / max(now - self._window_start, 1e-6),
+            memory_mib=_resident() / 2**20,
             drops=self.drops,
             rejected=self.rejected,
         )
         self._publisher.publish(self._newest)
+        self._cpu_time = cpu_time
         self._reset(now)
+
+
+def _resident() -> int:
+    """Memory of this process that is in RAM [B]. Without psutil, whose import alone takes 2 MiB of every service."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize()
 
 
 def quiet_collector() -> None:
