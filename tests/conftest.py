@@ -21,6 +21,7 @@ import bifrost
 from valor_common.instance import Instance, Settings
 from valor_common.messages import Statistics
 from valor_common.processes import BY_NAME
+from valor_common.table import checked, plain
 from valor_common.topics import STATISTICS
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -70,8 +71,8 @@ class RunningInstance:
 
     def configure(self, **changes: object) -> None:
         """Change settings; processes started from now on see them."""
-        settings = self.settings.model_copy(update=changes)
-        self.instance.settings_file.write_text(settings.model_dump_json())
+        settings = checked(Settings, plain(self.settings) | changes)
+        self.instance.settings_file.write_text(settings.json())
 
     def start(self, name: str, *, env: dict[str, str] | None = None, wait: bool = False) -> subprocess.Popen[bytes]:
         """Start a process of the table; its output goes to ``log(name)``."""
@@ -175,7 +176,7 @@ def instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
     made.logs.mkdir(parents=True)
     made.bags.mkdir()
     settings = Settings(robot=ROBOTS / "escher", ros_domain_id=ros_domain, real_time_factor=0.0)
-    made.settings_file.write_text(settings.model_dump_json())
+    made.settings_file.write_text(settings.json())
     running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
     try:
         running.start("bifrostd")

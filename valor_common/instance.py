@@ -11,10 +11,12 @@ import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import msgspec
+from msgspec import Meta, field
 
 from valor_common.errors import ConfigurationError
 from valor_common.resources import middleware_profile
+from valor_common.table import Table, checked, plain
 
 DEFAULT_NAME = "default"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
@@ -23,28 +25,25 @@ ClockMode = Literal["lockstep", "realtime"]
 Variant = Literal["simulation", "hardware"]
 
 
-class Recording(BaseModel):
+class Recording(Table):
     """What the recorder keeps, and in which pieces."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     only: tuple[str, ...] = ()  # shell patterns of topics' names in the bag; none: all
     without: tuple[str, ...] = ()  # and of those left out
-    split_bytes: Annotated[int, Field(ge=1 << 20)] | None = None  # of a bag, after which the next begins [B]
-    split_seconds: Annotated[float, Field(ge=1.0, allow_inf_nan=False)] | None = None  # [s]
-    ring_seconds: Annotated[float, Field(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
+    split_bytes: Annotated[int, Meta(ge=1 << 20)] | None = None  # of a bag, after which the next begins [B]
+    split_seconds: Annotated[float, Meta(ge=1.0)] | None = None  # [s]
+    ring_seconds: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
 
 
-class Settings(BaseModel):
+class Settings(Table, kw_only=True):
     """What ``valorctl up`` decided for an instance."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     profile: str = "sim"
     variant: Variant = "simulation"  # what the Comms Manager runs on
     robot: Path  # the robot's folder
     control_rate: float | None = None  # instead of robot.yaml's [Hz]
-    ports: dict[str, str] = {}  # of devices: where they are plugged in; not named: the emulators' (devices/ports.py)
+    # Of devices: where they are plugged in; not named: the emulators' (devices/ports.py).
+    ports: dict[str, str] = field(default_factory=dict)
     clock: ClockMode = "lockstep"
     actuators: str = "hardware"  # a profile of robot.yaml: how far the plant is from the controller's model
     seed: int = 0
@@ -54,6 +53,10 @@ class Settings(BaseModel):
     epoch: int = 0  # when robot time is 0 on hardware, monotonic [ns]
     bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
     recording: Recording = Recording()
+
+    def json(self) -> str:
+        """As ``instance.json`` holds them."""
+        return msgspec.json.format(msgspec.json.encode(plain(self)).decode(), indent=2) + "\n"
 
 
 class Instance:
@@ -111,10 +114,10 @@ class Instance:
             ConfigurationError: the instance is not up, or its file is not readable.
         """
         try:
-            return Settings.model_validate_json(self.settings_file.read_text())
+            return checked(Settings, msgspec.json.decode(self.settings_file.read_text()))
         except FileNotFoundError:
             raise ConfigurationError(f"instance {self.name!r} is not up: no {self.settings_file}") from None
-        except (OSError, ValidationError) as error:
+        except (OSError, ValueError) as error:
             raise ConfigurationError(f"{self.settings_file}: {' '.join(str(error).split())}") from None
 
     def environment(self) -> dict[str, str]:

@@ -13,12 +13,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-import yaml
-from pydantic import Field, ValidationError, model_validator
+from msgspec import Meta, structs
 
 from valor_common.devices.table import Calibration, DeviceTable, HdtBifrost, SupplyLimits
 from valor_common.errors import ConfigurationError
-from valor_common.table import NonNegative, Positive, Table
+from valor_common.table import NonNegative, Positive, Table, read
 
 FloatVector = npt.NDArray[np.float64]
 
@@ -30,7 +29,7 @@ class Servo(Table):
     damping: NonNegative  # [N·m·s/rad]
 
 
-class Joint(Table):
+class Joint(Table, kw_only=True):
     """One actuated joint. ``lower`` and ``upper`` are absent where it turns without end."""
 
     lower: float | None = None  # [rad]
@@ -42,13 +41,11 @@ class Joint(Table):
     armature: NonNegative = 0.0  # rotor inertia seen at the joint [kg·m²]
     damping: NonNegative = 0.0  # viscous [N·m·s/rad]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Joint:
+    def __post_init__(self) -> None:
         if (self.lower is None) != (self.upper is None):
             raise ValueError("give both lower and upper, or neither")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
             raise ValueError(f"lower {self.lower} must be below upper {self.upper}")
-        return self
 
 
 class Foot(Table):
@@ -111,7 +108,7 @@ class Gear(Table):
     friction: NonNegative | None = None  # Coulomb, at the joint [N·m]; absent: the profile's
     backlash: NonNegative | None = None  # peak to peak [rad]; absent: the profile's
     feed_forward: bool = True  # whether the device takes Motor's effort; if not, nothing carries the links' weight
-    strength: Annotated[float, Field(ge=0, le=1)] = 1.0  # share of the motor's torque that reaches the joint
+    strength: Annotated[float, Meta(ge=0, le=1)] = 1.0  # share of the motor's torque that reaches the joint
 
 
 class ActuatorProfile(Table):
@@ -123,7 +120,7 @@ class ActuatorProfile(Table):
     torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
     delay: NonNegative = 0.0  # of commands [s]
     backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
-    gears: dict[str, Gear] = {}  # of joints and groups of joints; a joint's own goes before its group's
+    gears: dict[str, Gear] = {}  # of joints and groups; a joint's own goes first
     noise: SensorNoise = SensorNoise()
 
 
@@ -140,7 +137,7 @@ class FallDetection(Table):
 class Footsteps(Table):
     """Which steps a plan may hold. Displacements are of a sole seen from the other foot's, heading only."""
 
-    max_steps: Annotated[int, Field(ge=1)]  # of a plan
+    max_steps: Annotated[int, Meta(ge=1)]  # of a plan
     max_forward: Positive  # [m]
     max_backward: Positive  # [m]
     min_width: Positive  # lateral distance of the soles' origins [m]
@@ -156,13 +153,11 @@ class Footsteps(Table):
     min_transfer_duration: Positive  # [s]
     max_transfer_duration: Positive  # [s]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Footsteps:
+    def __post_init__(self) -> None:
         for what in ("width", "swing_duration", "transfer_duration"):
             low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
             if low >= high:
                 raise ValueError(f"min_{what} {low} must be below max_{what} {high}")
-        return self
 
 
 class WholeBody(Table):
@@ -296,15 +291,13 @@ class SelfCollision(Table):
 
     pairs: list[tuple[str, str]] = []  # of bodies
     distance: NonNegative = 0.02  # kept [m]
-    near: Annotated[float, Field(gt=0, lt=0.5)] = 0.045  # from where on a pair is looked after [m]
+    near: Annotated[float, Meta(gt=0, lt=0.5)] = 0.045  # from where on a pair is looked after [m]
     approach: Positive = 10.0  # velocity allowed per distance left [1/s]
     response: Positive = 50.0  # deceleration per velocity above what is allowed [1/s]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> SelfCollision:
+    def __post_init__(self) -> None:
         if self.distance >= self.near:
             raise ValueError(f"distance {self.distance} must be below near {self.near}")
-        return self
 
 
 class Estimator(Table):
@@ -337,7 +330,7 @@ Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
 """Name of a posture → side → joint → position."""
 
 
-class RobotTables(Table):
+class RobotTables(Table, kw_only=True):
     """robot.yaml as a whole."""
 
     name: str
@@ -364,7 +357,7 @@ class RobotTables(Table):
     pelvis: PelvisMotion = PelvisMotion()
     disturbance: Disturbance = Disturbance()
     gains: GainLimits = GainLimits()
-    weight_factor: Annotated[float, Field(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
+    weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
     hand_goals: HandMotion = HandMotion()
     self_collision: SelfCollision = SelfCollision()
     estimator: Estimator = Estimator()
@@ -373,8 +366,7 @@ class RobotTables(Table):
     calibration: Calibration = Calibration()
     supply: SupplyLimits = SupplyLimits()
 
-    @model_validator(mode="after")
-    def _names(self) -> RobotTables:
+    def __post_init__(self) -> None:
         known = set(self.joints)
         for group, members in self.groups.items():
             if missing := set(members) - known:
@@ -394,7 +386,6 @@ class RobotTables(Table):
             if missing := set(table) - known:
                 raise ValueError(f"calibration.{key}: unknown joints {sorted(missing)}")
         self._each_joint_once()
-        return self
 
     def device_joints(self, name: str) -> list[str]:
         """The joints that a device moves, in its units' order."""
@@ -444,22 +435,13 @@ class RobotDescription:
             ConfigurationError: the folder, a file or a key is missing or wrong.
         """
         file = folder / "robot.yaml"
-        try:
-            content = yaml.safe_load(file.read_text())
-        except OSError as error:
-            raise ConfigurationError(f"{file}: {error.strerror}; expected a robot's folder with robot.yaml") from None
-        except yaml.YAMLError as error:
-            raise ConfigurationError(f"{file}: not YAML: {' '.join(str(error).split())}") from None
-        try:
-            tables = RobotTables.model_validate(content)
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
-            raise ConfigurationError(f"{file}: {key}: {first['msg']}") from None
+        if not file.is_file():
+            raise ConfigurationError(f"{file}: no such file; expected a robot's folder with robot.yaml")
+        tables = read(RobotTables, file)
         if not (folder / tables.model).is_file():
             raise ConfigurationError(f"{file}: model: no file {folder / tables.model}")
         if control_rate is not None:
-            tables = tables.model_copy(update={"control_rate": control_rate})
+            tables = structs.replace(tables, control_rate=control_rate)
         return cls(folder, tables)
 
     @property

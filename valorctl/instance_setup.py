@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
+
 import bifrost
 from valor_common import worlds
 from valor_common.errors import ConfigurationError, ValorError
@@ -117,8 +119,8 @@ def make(instance: Instance, wanted: Settings) -> Settings:
             domain = choose_domain(
                 str(instance.folder), domains_taken(instance.folder.parent, but=instance), domain_is_free
             )
-            settings = wanted.model_copy(update={"ros_domain_id": domain, "epoch": time.monotonic_ns()})
-            _write(instance.settings_file, settings.model_dump_json(indent=2) + "\n")
+            settings = msgspec.structs.replace(wanted, ros_domain_id=domain, epoch=time.monotonic_ns())
+            _write(instance.settings_file, settings.json())
     except OSError as error:
         raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None
     return settings

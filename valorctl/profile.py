@@ -3,51 +3,45 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from msgspec import Meta, field
 
-from valor_common.errors import ConfigurationError
 from valor_common.instance import ClockMode, Variant
 from valor_common.processes import BY_NAME, Process
+from valor_common.table import NonNegative, Table, read
 
 
-class Defaults(BaseModel):
+class Defaults(Table):
     """What ``valorctl up`` takes where no option says otherwise."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     robot: str = "escher"  # a name of robots/, or a folder
     clock: ClockMode = "lockstep"
     actuators: str = "hardware"  # a profile of the robot's robot.yaml
     world: str = "flat"
     seed: int = 0
-    real_time_factor: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+    real_time_factor: NonNegative = 1.0
 
 
-class Profile(BaseModel):
+class Profile(Table, kw_only=True):
     """One file of ``deploy``."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     description: str
     variant: Variant = "simulation"  # what the Comms Manager runs on
-    control_rate: Annotated[float, Field(gt=0, le=1000)] | None = None  # instead of the robot's own [Hz]
-    ports: dict[str, str] = {}  # of devices, where they are not the emulators' (valor_common/devices/ports.py)
-    processes: Annotated[tuple[str, ...], Field(min_length=1)]
+    control_rate: Annotated[float, Meta(gt=0, le=1000)] | None = None  # instead of the robot's own [Hz]
+    # Of devices, where they are not the emulators' (valor_common/devices/ports.py).
+    ports: dict[str, str] = field(default_factory=dict)
+    processes: Annotated[tuple[str, ...], Meta(min_length=1)]
     initial_mode: str | None = None
     defaults: Defaults = Defaults()
 
-    @model_validator(mode="after")
-    def _processes_known_and_complete(self) -> Self:
+    def __post_init__(self) -> None:
         for name in self.processes:
             if name not in BY_NAME:
                 raise ValueError(f"processes: {name!r} is none of {', '.join(BY_NAME)}")
             for need in BY_NAME[name].needs:
                 if need not in self.processes:
                     raise ValueError(f"processes: {name} needs {need}")
-        return self
 
     @classmethod
     def load(cls, file: Path) -> Profile:
@@ -56,16 +50,7 @@ class Profile(BaseModel):
         Raises:
             ConfigurationError: names the file, the key and what was expected.
         """
-        try:
-            return cls.model_validate(yaml.safe_load(file.read_text()))
-        except OSError as error:
-            raise ConfigurationError(f"{file}: {error.strerror}") from None
-        except yaml.YAMLError as error:
-            raise ConfigurationError(f"{file}: not YAML: {' '.join(str(error).split())}") from None
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in first["loc"])
-            raise ConfigurationError(f"{file}: {f'{key}: ' if key else ''}{first['msg']}") from None
+        return read(cls, file)
 
     @property
     def table(self) -> tuple[Process, ...]:

@@ -6,10 +6,9 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from pydantic import ValidationError
-
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Recording
+from valor_common.table import TableError, checked
 
 _AMOUNT = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>[A-Za-z]+)")
 _UNITS: dict[str, tuple[str, float]] = {  # [B] or [s]
@@ -42,8 +41,8 @@ def recording(only: Sequence[str], without: Sequence[str], split: Sequence[str],
         amount = float(match["number"]) * factor
         values[key] = round(amount) if key == "split_bytes" else amount
     try:
-        return Recording(**values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = str(first["loc"][0])
-        raise ConfigurationError(f"{_OPTIONS.get(key, key)}: {first['msg']}, not {first['input']}") from None
+        return checked(Recording, values)
+    except TableError as error:
+        raise ConfigurationError(
+            f"{_OPTIONS.get(error.key, error.key)}: {error.what}, got {values.get(error.key)}"
+        ) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import structs
 
 from valor_common.devices.table import SeaCanFd
 from valor_common.instance import Settings
@@ -30,8 +31,8 @@ class SimulatedRobot:
 
     def __init__(self, description: RobotDescription, settings: Settings) -> None:
         # Commands are late by what ports and drives take, so the profile's own delay is left out.
-        profile = description.tables.actuators[settings.actuators].model_copy(update={"delay": 0.0})
-        tables = description.tables.model_copy(update={"actuators": {settings.actuators: profile}})
+        profile = structs.replace(description.tables.actuators[settings.actuators], delay=0.0)
+        tables = structs.replace(description.tables, actuators={settings.actuators: profile})
         description = RobotDescription(description.folder, tables)
         self.description = description
         self.plant = Plant(description, settings.world, settings.actuators, settings.seed)

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from valor_common.table import Table, read
 
-from valor_common.errors import ConfigurationError
-
-T = TypeVar("T", bound=BaseModel)
 FILE = Path(__file__).with_name("control_modes.yaml")
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ControlMode(_Table):
+class ControlMode(Table, kw_only=True):
     """One mode; the meaning of each key stands in the file."""
 
     bdi: int
@@ -32,7 +24,7 @@ class ControlMode(_Table):
     when_done: str | None = None
 
 
-class ControlModeTable(_Table):
+class ControlModeTable(Table):
     """The whole file."""
 
     sets: dict[str, tuple[str, ...]]  # named only to be referred to within the file
@@ -40,8 +32,7 @@ class ControlModeTable(_Table):
     behaviors: dict[str, str]
     emergency_stop: tuple[str, ...]
 
-    @model_validator(mode="after")
-    def _names(self) -> ControlModeTable:
+    def __post_init__(self) -> None:
         known = set(self.modes)
         for name, mode in self.modes.items():
             if unknown := (set(mode.to) | {mode.when_done or name}) - known:
@@ -50,7 +41,6 @@ class ControlModeTable(_Table):
                 raise ValueError(f"modes.{name}: motion: unknown behaviors {sorted(unknown)}")
         if unknown := (set(self.behaviors.values()) | set(self.emergency_stop)) - known:
             raise ValueError(f"behaviors or emergency_stop: unknown modes {sorted(unknown)}")
-        return self
 
     @classmethod
     def load(cls, file: Path = FILE) -> ControlModeTable:
@@ -59,7 +49,7 @@ class ControlModeTable(_Table):
         Raises:
             ConfigurationError: the file or a key is missing or wrong.
         """
-        return load_table(cls, file)
+        return read(cls, file)
 
     def fits(self, mode: str, behavior: str) -> bool:
         """Whether the Motion System in ``behavior`` is what ``mode`` stands for."""
@@ -69,21 +59,3 @@ class ControlModeTable(_Table):
     def running(self, controller: str) -> list[str]:
         """The modes in which a joint controller is active."""
         return [name for name, mode in self.modes.items() if controller in mode.joint_controllers]
-
-
-def load_table(table: type[T], file: Path) -> T:
-    """Read a YAML file into a table.
-
-    Raises:
-        ConfigurationError: the file or a key is missing or wrong.
-    """
-    try:
-        return table.model_validate(yaml.safe_load(file.read_text()))
-    except OSError as error:
-        raise ConfigurationError(f"{file}: {error.strerror}") from None
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{file}: not YAML: {' '.join(str(error).split())}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
-        raise ConfigurationError(f"{file}: {key}: {first['msg']}") from None

@@ -292,7 +292,7 @@ def system(name: str, number: int, **settings: object) -> Iterator[Walker]:
     made.settings_file.write_text(
         Settings(
             robot=ROBOTS / "escher", ros_domain_id=domain, real_time_factor=0.0, **settings  # type: ignore[arg-type]
-        ).model_dump_json()
+        ).json()
     )  # fmt: skip
     instance = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
     ros = None

@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import pytest
 from action_msgs.msg import GoalStatus
+from msgspec import structs
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
@@ -185,7 +186,7 @@ def test_an_update_in_mid_walk(walker: Walker, record_property: Note) -> None:
 def test_a_cancel_in_mid_swing(walker: Walker, record_property: Note) -> None:
     before = walker.stance()
     planned = put(ahead(8, 0.2), before.middle)
-    goal = walker.send(message(planned, QUICK.model_copy(update={"step_duration": 1.2})))
+    goal = walker.send(message(planned, structs.replace(QUICK, step_duration=1.2)))
     walker.wait(lambda: goal.executing >= 2, "step 2")
     walker.wait(lambda: not walker.state().contacts.all(), "a foot in the air", period=0.002)
     walker.cancel(goal)

@@ -27,7 +27,7 @@ def standing_robot(name: str, ros_domain_id: int, *others: str) -> Iterator[Runn
     made.logs.mkdir(parents=True)
     made.bags.mkdir()
     settings = Settings(robot=ROBOTS / "escher", ros_domain_id=ros_domain_id, real_time_factor=1.0)
-    made.settings_file.write_text(settings.model_dump_json())
+    made.settings_file.write_text(settings.json())
     running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
     try:
         for process in ("bifrostd", "comms_manager", "motion_manager", *others, VRC):

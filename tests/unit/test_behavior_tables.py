@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from motion_manager.behaviors import (
@@ -145,7 +146,7 @@ def test_every_joint_of_the_robot_is_moved_by_exactly_one_state_machine(name: st
 
 def regrouped(groups: dict[str, list[str]]) -> RobotDescription:
     robot = RobotDescription.load(ROBOTS / "escher")
-    return RobotDescription(robot.folder, robot.tables.model_copy(update={"groups": robot.tables.groups | groups}))
+    return RobotDescription(robot.folder, msgspec.structs.replace(robot.tables, groups=robot.tables.groups | groups))
 
 
 def test_a_joint_of_two_machines_is_an_error_naming_it() -> None:

@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from valor_common.messages import JointMode, Motor
 from valor_common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
+from valor_common.table import checked, plain
 from valor_simulation.actuators import Actuators
 from valor_simulation.gears import Gears
 
@@ -178,10 +179,10 @@ def test_gears_without_feed_forward_go_by_position_alone_and_weak_motors_give_th
 
 
 def test_gears_of_unknown_joints_are_refused() -> None:
-    tables = ROBOT.tables.model_dump()
+    tables = plain(ROBOT.tables)
     tables["actuators"]["ideal"]["gears"] = {"r_tail": {}}
     with pytest.raises(ValueError, match=r"actuators.ideal.gears: neither joints nor groups: \['r_tail'\]"):
-        RobotTables.model_validate(tables)
+        checked(RobotTables, tables)
 
 
 def test_holding_keeps_the_joints_where_they_are() -> None:

@@ -61,7 +61,7 @@ def test_the_instance_is_the_one_named(arguments: list[str], monkeypatch: pytest
     monkeypatch.setenv("VALOR_HOME", str(tmp_path))
     monkeypatch.setenv("VALOR_INSTANCE", "other")
     (tmp_path / "x").mkdir()
-    (tmp_path / "x" / "instance.json").write_text(Settings(robot=tmp_path, ros_domain_id=7).model_dump_json())
+    (tmp_path / "x" / "instance.json").write_text(Settings(robot=tmp_path, ros_domain_id=7).json())
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "export VALOR_INSTANCE=x\n" in result.output
@@ -118,7 +118,7 @@ def test_the_environment_survives_a_shell(tmp_path: Path) -> None:
     home = tmp_path / 'it\'s a $HOME; with "quotes" `x`'
     instance = Instance("x", home)
     instance.folder.mkdir(parents=True)
-    instance.settings_file.write_text(Settings(robot=tmp_path, ros_domain_id=7).model_dump_json())
+    instance.settings_file.write_text(Settings(robot=tmp_path, ros_domain_id=7).json())
     script = exports(instance) + '\nprintf "%s" "$BIFROST_NETWORK"'
     told = subprocess.run(
         ["/bin/sh", "-c", script], capture_output=True, text=True, check=True, env={"PATH": os.defpath}

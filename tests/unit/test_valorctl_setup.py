@@ -50,7 +50,7 @@ def test_supervisord_listens_on_no_network() -> None:
 def test_processes_get_one_thread_each_and_the_instance(tmp_path: Path) -> None:
     instance = Instance("x", tmp_path)
     instance.folder.mkdir()
-    instance.settings_file.write_text(Settings(robot=tmp_path, ros_domain_id=7).model_dump_json())
+    instance.settings_file.write_text(Settings(robot=tmp_path, ros_domain_id=7).json())
     made = supervisor_config.environment(instance, "/usr/bin/python3", {"KEPT": "1", "ROS_DOMAIN_ID": "0"})
     assert made["KEPT"] == made["OPENBLAS_NUM_THREADS"] == made["OMP_NUM_THREADS"] == "1"
     assert (made["ROS_DOMAIN_ID"], made["VALOR_INSTANCE"], made["VALOR_HOME"]) == ("7", "x", str(tmp_path))

@@ -10,12 +10,21 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from msgspec import Meta
 
 from valor_common.table import NonNegative, Positive, Table
 
-CanId = Annotated[int, Field(ge=1, le=63)]
+CanId = Annotated[int, Meta(ge=1, le=63)]
 WrenchPlace = Literal["left_foot", "right_foot", "left_hand", "right_hand"]
+
+
+class Device(Table, tag_field="kind"):
+    """A device; its ``kind`` says which of the tables below it has."""
+
+    @property
+    def kind(self) -> str:
+        """As in the file."""
+        return str(self.__struct_config__.tag)
 
 
 class MotorController(Table):
@@ -24,20 +33,17 @@ class MotorController(Table):
     id: CanId
     serial: str
     firmware: str
-    axes: Annotated[list[str], Field(min_length=1, max_length=2)]  # joints, in the controller's order
+    axes: Annotated[list[str], Meta(min_length=1, max_length=2)]  # joints, in the controller's order
 
 
-class SeaCanFd(Table):
+class SeaCanFd(Device, tag="sea_can_fd"):
     """Series-elastic actuators behind motor controllers on a CAN FD bus."""
 
-    kind: Literal["sea_can_fd"]
-    bus: Annotated[int, Field(ge=0)]
-    controllers: Annotated[list[MotorController], Field(min_length=1)]
+    bus: Annotated[int, Meta(ge=0)]
+    controllers: Annotated[list[MotorController], Meta(min_length=1)]
 
-    @model_validator(mode="after")
-    def _distinct(self) -> SeaCanFd:
+    def __post_init__(self) -> None:
         _require_distinct("controllers: id", (controller.id for controller in self.controllers))
-        return self
 
     @property
     def joints(self) -> list[str]:
@@ -54,18 +60,15 @@ class WrenchSensor(Table):
     firmware: str
 
 
-class FtCan(Table):
+class FtCan(Device, tag="ft_can"):
     """Force/torque sensors on a CAN bus."""
 
-    kind: Literal["ft_can"]
-    bus: Annotated[int, Field(ge=0)]
-    sensors: Annotated[list[WrenchSensor], Field(min_length=1)]
+    bus: Annotated[int, Meta(ge=0)]
+    sensors: Annotated[list[WrenchSensor], Meta(min_length=1)]
 
-    @model_validator(mode="after")
-    def _distinct(self) -> FtCan:
+    def __post_init__(self) -> None:
         _require_distinct("sensors: id", (sensor.id for sensor in self.sensors))
         _require_distinct("sensors: at", (sensor.at for sensor in self.sensors))
-        return self
 
     @property
     def joints(self) -> list[str]:
@@ -73,15 +76,14 @@ class FtCan(Table):
         return []
 
 
-class MicroStrainMip(Table):
+class MicroStrainMip(Device, tag="microstrain_mip"):
     """An inertial measurement unit that speaks MIP on a serial port."""
 
-    kind: Literal["microstrain_mip"]
     model: str
     serial: str
     firmware: str
     rate: Positive  # of its data packets [Hz]
-    baud_rate: Annotated[int, Field(gt=0)] = 921600
+    baud_rate: Annotated[int, Meta(gt=0)] = 921600
 
     @property
     def joints(self) -> list[str]:
@@ -89,30 +91,27 @@ class MicroStrainMip(Table):
         return []
 
 
-class DynamixelServo(Table):
+class DynamixelServo(Table, kw_only=True):
     """A servo on a Dynamixel bus."""
 
-    id: Annotated[int, Field(ge=0, le=252)]
+    id: Annotated[int, Meta(ge=0, le=252)]
     joint: str
-    model: Annotated[int, Field(ge=0, le=0xFFFF)]  # number
-    firmware: Annotated[int, Field(ge=0, le=0xFF)]
+    model: Annotated[int, Meta(ge=0, le=0xFFFF)]  # number
+    firmware: Annotated[int, Meta(ge=0, le=0xFF)]
     zero: int = 2048  # position at which the joint is at 0 [ticks]
-    ticks: Annotated[int, Field(gt=0)] = 4096  # of a turn
+    ticks: Annotated[int, Meta(gt=0)] = 4096  # of a turn
     direction: Literal[1, -1] = 1
 
 
-class Dynamixel(Table):
+class Dynamixel(Device, tag="dynamixel_2", kw_only=True):
     """Servos that speak Dynamixel protocol 2.0 on one serial bus."""
 
-    kind: Literal["dynamixel_2"]
-    baud_rate: Annotated[int, Field(gt=0)]
+    baud_rate: Annotated[int, Meta(gt=0)]
     rate: Positive = 100.0  # at which states are read and commands written [Hz]
-    servos: Annotated[list[DynamixelServo], Field(min_length=1)]
+    servos: Annotated[list[DynamixelServo], Meta(min_length=1)]
 
-    @model_validator(mode="after")
-    def _distinct(self) -> Dynamixel:
+    def __post_init__(self) -> None:
         _require_distinct("servos: id", (servo.id for servo in self.servos))
-        return self
 
     @property
     def joints(self) -> list[str]:
@@ -128,16 +127,15 @@ class HdtLimb(Table):
     firmware: str
 
 
-class HdtBifrost(Table):
+class HdtBifrost(Device, tag="hdt_bifrost", kw_only=True):
     """HDT limbs: their driver is a ROS node, behind Bifrost topics and a bridge."""
 
-    kind: Literal["hdt_bifrost"]
     rate: Positive = 100.0  # of states and commands [Hz]
-    bus: Annotated[int, Field(ge=0)] = 2  # CAN, between the driver and the modules
-    limbs: Annotated[list[HdtLimb], Field(min_length=1)]
+    bus: Annotated[int, Meta(ge=0)] = 2  # CAN, between the driver and the modules
+    limbs: Annotated[list[HdtLimb], Meta(min_length=1)]
 
 
-DeviceTable = Annotated[SeaCanFd | FtCan | MicroStrainMip | Dynamixel | HdtBifrost, Field(discriminator="kind")]
+DeviceTable = SeaCanFd | FtCan | MicroStrainMip | Dynamixel | HdtBifrost
 
 
 class Calibration(Table):

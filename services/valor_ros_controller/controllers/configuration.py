@@ -4,42 +4,37 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from msgspec import Meta, field
 
-from valor_ros_controller.control_modes import load_table
+from valor_common.table import NonNegative, Positive, Table, read
 from valor_ros_controller.trajectory.limits import Vector
 from valor_ros_controller.trajectory.tolerances import Tolerances
 
 FILE = Path(__file__).parent.parent / "controllers.yaml"
 
-_NonNegative = Annotated[float, Field(ge=0)]
-_Rate = Annotated[float, Field(ge=0.1, le=500.0)]
+_Rate = Annotated[float, Meta(ge=0.1, le=500.0)]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Constraints(_Table):
+class Constraints(Table):
     """Default tolerances of a goal."""
 
-    stopped_velocity_tolerance: _NonNegative  # at the goal [rad/s]; 0: not checked
-    goal_time: _NonNegative  # how late the goal may be reached [s]; 0: however late
+    stopped_velocity_tolerance: NonNegative  # at the goal [rad/s]; 0: not checked
+    goal_time: NonNegative  # how late the goal may be reached [s]; 0: however late
     decelerate_on_cancel: bool
 
 
-class EachJoint(_Table):
+class EachJoint(Table):
     """Defaults for every joint of a controller."""
 
-    trajectory: _NonNegative  # [rad or m]; 0: not checked
-    goal: _NonNegative  # [rad or m]; 0: not checked
-    max_deceleration_on_cancel: Annotated[float, Field(gt=0)]  # [1/s²]
+    trajectory: NonNegative  # [rad or m]; 0: not checked
+    goal: NonNegative  # [rad or m]; 0: not checked
+    max_deceleration_on_cancel: Positive  # [1/s²]
 
 
-class TrajectoryControllerConfig(_Table):
+class TrajectoryControllerConfig(Table):
     """A controller that runs trajectories."""
 
     groups: tuple[str, ...]
@@ -51,7 +46,7 @@ class TrajectoryControllerConfig(_Table):
     each_joint: EachJoint
 
 
-class TrackingControllerConfig(_Table):
+class TrackingControllerConfig(Table):
     """A controller that follows what the robot does."""
 
     groups: tuple[str, ...]
@@ -59,15 +54,15 @@ class TrackingControllerConfig(_Table):
     goals: str
 
 
-class ControllersTable(_Table):
+class ControllersTable(Table):
     """``controllers.yaml``."""
 
     namespace: str
-    defaults: dict[str, object]  # named only to be referred to within the file
-    legs: dict[str, object]  # likewise
+    defaults: dict[str, Any]  # named only to be referred to within the file
+    legs: dict[str, Any]  # likewise
     joint_controllers: dict[str, TrajectoryControllerConfig]
     tracking_controllers: dict[str, TrackingControllerConfig]
-    robot_controllers: dict[str, TrajectoryControllerConfig] = {}
+    robot_controllers: dict[str, TrajectoryControllerConfig] = field(default_factory=dict)
 
     @classmethod
     def load(cls, file: Path = FILE) -> ControllersTable:
@@ -76,7 +71,7 @@ class ControllersTable(_Table):
         Raises:
             ConfigurationError: the file or a key is missing or wrong.
         """
-        return load_table(cls, file)
+        return read(cls, file)
 
 
 @dataclass(frozen=True)

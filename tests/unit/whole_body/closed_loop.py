@@ -25,6 +25,7 @@ from motion_manager.whole_body import (
 from valor_common.messages import JointMode, Motor
 from valor_common.model import controller_model
 from valor_common.robot import RobotDescription, RobotTables
+from valor_common.table import checked, plain
 from valor_simulation.plant import Plant
 from valor_simulation.sensors import Sensors
 
@@ -38,13 +39,13 @@ def load_robot(name: str = "escher", **tables: dict[str, object] | float) -> Rob
     robot = RobotDescription.load(ROBOTS / name)
     if not tables:
         return robot
-    content = robot.tables.model_dump()
+    content = plain(robot.tables)
     for table, values in tables.items():
         if isinstance(values, dict):
             content[table].update(values)
         else:
             content[table] = values
-    return RobotDescription(robot.folder, RobotTables.model_validate(content))
+    return RobotDescription(robot.folder, checked(RobotTables, content))
 
 
 class ClosedLoop:

@@ -13,6 +13,7 @@ from motion_manager.whole_body.reference import minimum_jerk
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.conftest import FloatArray
 from valor_common.robot import RobotDescription, RobotTables
+from valor_common.table import checked, plain
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
 
@@ -25,10 +26,10 @@ def pelvis(loop: ClosedLoop) -> FloatArray:
 
 def with_effort_limit(robot: RobotDescription, joints: list[str], limit: float) -> RobotDescription:
     """The robot with weaker joints [N·m]."""
-    content = robot.tables.model_dump()
+    content = plain(robot.tables)
     for joint in joints:
         content["joints"][joint]["effort"] = limit
-    return RobotDescription(robot.folder, RobotTables.model_validate(content))
+    return RobotDescription(robot.folder, checked(RobotTables, content))
 
 
 def feet(loop: ClosedLoop) -> FloatArray:

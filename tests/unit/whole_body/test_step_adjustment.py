@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import cos, exp, inf, nan, sin
 
 import casadi as ca
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -91,13 +92,12 @@ def test_whatever_the_error_the_step_is_within_reach(
     sole = level_pose(found.foothold[0], found.foothold[1], found.foothold[2], heading)
     step = Step(0, foot, sole, 0.06, 0.6, TRANSFER)
     slack = 1e-5 * (1.0 + max(map(abs, error)))  # the solver's, of a problem with such numbers
-    wider = limits.model_copy(
-        update={
-            "min_width": limits.min_width - slack,
-            "max_width": limits.max_width + slack,
-            "max_forward": limits.max_forward + slack,
-            "max_backward": max(limits.max_backward, table.max_backward) + slack,
-        }
+    wider = msgspec.structs.replace(
+        limits,
+        min_width=limits.min_width - slack,
+        max_width=limits.max_width + slack,
+        max_forward=limits.max_forward + slack,
+        max_backward=max(limits.max_backward, table.max_backward) + slack,
     )
     assert not reach_refusal(step, asked.stance, wider)
     assert min(left, table.final) - 1e-6 <= found.left <= left + table.longest_delay + 1e-6
