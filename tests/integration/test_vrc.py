@@ -7,7 +7,7 @@ import math
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
-from tests.integration.vrc_system import PATIENCE, VRC, Topic, ask, go, stamp, standing_robot
+from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go, pass_robot_time, stamp
 from tests.system import RosClient
 from valor_common.messages import (
     ControlModeReport,
@@ -36,6 +36,7 @@ from valor_common.topics import (
     VALOR_ROS_CONTROLLER_STATISTICS,
 )
 
+SYSTEM = Standing("vrc", 165)
 PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
@@ -44,24 +45,6 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED = 0, -1, -2, -
 ACCEPTED, REJECTED, DUPLICATE, EXTERNAL_CHANGE = 1, 2, 16, 32
 NOT_READY, INVALID_MODE, INVALID_TRANSITION = 512, 1024, 2048
 STATUS_SUCCEEDED, STATUS_CANCELED, STATUS_ABORTED = 4, 5, 6
-
-
-@pytest.fixture(scope="module")
-def system() -> Iterator[RunningInstance]:
-    with standing_robot("vrc", ros_domain_id=165) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def ros(system: RunningInstance) -> Iterator[RosClient]:
-    client = RosClient(system.environment)
-    yield client
-    client.close()
-
-
-@pytest.fixture(scope="module")
-def node(system: RunningInstance) -> bifrost.Node:
-    return system.node("vrc_test")
 
 
 @pytest.fixture
@@ -74,6 +57,14 @@ def manipulating(ros: RosClient) -> RosClient:
 def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
     positions = ros.joint_positions()
     return {name: abs(positions[name] - value) for name, value in target.items()}
+
+
+def at_rest(ros: RosClient, joints: Iterable[str]) -> bool:
+    """Whether joints stand still, but for what balance and noise make of it."""
+    state = ros.joint_state
+    assert state is not None
+    speeds = dict(zip(state.name, state.velocity, strict=True))
+    return max(abs(speeds[name]) for name in joints) < 0.05
 
 
 def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, node: bifrost.Node) -> None:
@@ -476,9 +467,9 @@ def test_a_canceled_goal_holds(manipulating: RosClient) -> None:
     manipulating._wait(manipulating._call(handle.cancel_goal_async), PATIENCE, "the cancellation")
     answer = manipulating._wait(manipulating._call(handle.get_result_async), PATIENCE, "the end of the goal")
     assert answer.status == STATUS_CANCELED
-    time.sleep(0.5)
+    wait_until(lambda: at_rest(manipulating, FORWARD), PATIENCE, "the arm to stand still")
     held = manipulating.joint_positions()
-    time.sleep(1.0)
+    pass_robot_time(manipulating, 1.0)
     assert max(errors(manipulating, {name: held[name] for name in FORWARD}).values()) < 0.02
     assert abs(held[elbow] - FORWARD[elbow]) > 0.2, "the arm went to the goal"
 
@@ -496,9 +487,9 @@ def test_mode_changes_do_not_make_the_motion_system_refuse_set_points_for_long(
     rejections = node.subscriber(REJECTION.name, Rejection, queue=1000)
     for mode in ("stand", "stand_manipulate", "manipulate", "stand", "stand_manipulate"):
         assert manipulating.change_mode(mode).status == ACCEPTED
-    time.sleep(0.5)
+    pass_robot_time(manipulating, 0.5)
     assert manipulating.change_mode("stand_manipulate").status == ACCEPTED | DUPLICATE
-    time.sleep(0.5)
+    pass_robot_time(manipulating, 0.5)
     late = rejections.latest()
     assert late is None or late.message.count < 200, "set-points go on being sent where they are not accepted"
     rejections.close()

@@ -10,35 +10,17 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
-from tests.integration.vrc_system import PATIENCE, Topic, go, standing_robot
+from tests.conftest import ROBOTS, wait_until
+from tests.integration.vrc_system import PATIENCE, Standing, Topic, go
 from tests.system import RosClient
 from valor_common.messages import HandGoalStatus, MotionState, Motor, Rejection
 from valor_common.robot import RobotDescription
 from valor_common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
 
+SYSTEM = Standing("bypass", 167)
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
 SUCCESSFUL = 0
-
-
-@pytest.fixture(scope="module")
-def system() -> Iterator[RunningInstance]:
-    with standing_robot("bypass", ros_domain_id=167) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def ros(system: RunningInstance) -> Iterator[RosClient]:
-    client = RosClient(system.environment)
-    go(client, "stand")
-    yield client
-    client.close()
-
-
-@pytest.fixture(scope="module")
-def node(system: RunningInstance) -> bifrost.Node:
-    return system.node("bypass_test")
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import math
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +16,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.conftest import RunningInstance
 from tests.integration.documented_interfaces import rows
-from tests.integration.vrc_system import PATIENCE, go, standing_robot
+from tests.integration.vrc_system import PATIENCE, Standing, go
 from tests.system import RosClient
 
+SYSTEM = Standing("foreign", 169, ("bag_recorder",))
 pytestmark = pytest.mark.timeout(580)
 CLIENT = Path(__file__).with_name("foreign_client.py")
 RARE = ("goal_status", "rejection", "controller_state")  # only on an occasion, or while listened to
-
-
-@pytest.fixture(scope="module")
-def system() -> Iterator[RunningInstance]:
-    with standing_robot("foreign", 169, "bag_recorder") as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

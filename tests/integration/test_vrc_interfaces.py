@@ -4,35 +4,20 @@ from __future__ import annotations
 
 import importlib
 import itertools
-from collections.abc import Iterator
 from typing import Any, cast
 from xml.etree import ElementTree
 
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from tests.conftest import RunningInstance, wait_until
+from tests.conftest import wait_until
 from tests.integration.documented_interfaces import PLACEHOLDERS, Row, names, rows, tables
-from tests.integration.vrc_system import PATIENCE, VRC, Topic, ask, go, stamp, standing_robot
+from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go, stamp
 from tests.system import RosClient
 from valor_ros_controller.control_modes import ControlModeTable
 
+SYSTEM = Standing("interfaces", 168, ("footstep_converter",))
 OF_ROS = ("/rosout", "/parameter_events")
-
-
-@pytest.fixture(scope="module")
-def system() -> Iterator[RunningInstance]:
-    with standing_robot("interfaces", 168, "footstep_converter") as running:
-        running.wait_ready("footstep_converter", PATIENCE)
-        yield running
-
-
-@pytest.fixture(scope="module")
-def ros(system: RunningInstance) -> Iterator[RosClient]:
-    client = RosClient(system.environment)
-    go(client, "stand")
-    yield client
-    client.close()
 
 
 def message_type(kind: str) -> type:

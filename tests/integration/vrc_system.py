@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,30 @@ VRC = "valor_ros_controller"
 PATIENCE = 60.0  # [s]
 
 
+@dataclass(frozen=True)
+class Standing:
+    """A module's system (its ``SYSTEM``): everything but recorder and footsteps, in real time, and some others."""
+
+    name: str
+    ros_domain_id: int
+    others: tuple[str, ...] = ()
+
+
 @contextmanager
-def standing_robot(name: str, ros_domain_id: int, *others: str) -> Iterator[RunningInstance]:
-    """Everything but recorder and footsteps, in real time; ``others`` are started besides."""
+def standing_robot(wanted: Standing) -> Iterator[RunningInstance]:
+    """It runs, with the robot on its feet."""
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    made = Instance(name, home)
+    made = Instance(wanted.name, home)
     made.logs.mkdir(parents=True)
     made.bags.mkdir()
-    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=ros_domain_id, real_time_factor=1.0)
+    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=wanted.ros_domain_id, real_time_factor=1.0)
     made.settings_file.write_text(settings.json())
     running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
     try:
-        for process in ("bifrostd", "comms_manager", "motion_manager", *others, VRC):
+        for process in ("bifrostd", "comms_manager", "motion_manager", *wanted.others, VRC):
             running.start(process)
-        running.wait_ready(VRC, 2 * PATIENCE)
+        for process in (VRC, *wanted.others):
+            running.wait_ready(process, 2 * PATIENCE)
         yield running
     finally:
         running.close()
@@ -47,6 +58,17 @@ def go(ros: RosClient, mode: str) -> None:
         return bool(result.status & ModeStatus.MODE_ACCEPTED) and result.current_control_mode == mode
 
     wait_until(there, PATIENCE, f"control mode {mode}", period=0.2)
+
+
+def pass_robot_time(ros: RosClient, seconds: float) -> None:
+    """Let the robot's clock, which a busy machine slows down, go on for so long."""
+
+    def now() -> int:
+        assert ros.joint_state is not None
+        return stamp(ros.joint_state)
+
+    end = now() + round(seconds * 1e9)
+    wait_until(lambda: now() >= end, PATIENCE, f"{seconds:g} s of robot time")
 
 
 class Topic:

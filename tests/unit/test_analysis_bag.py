@@ -129,8 +129,10 @@ def test_a_damaged_chunk_is_named(file: Path, tmp_path: Path) -> None:
 
 def test_another_robots_bag_is_refused(file: Path) -> None:
     tables = ROBOT.tables
-    fewer = {name: joint for name, joint in tables.joints.items() if name != "lidar_roll"}
-    other = RobotDescription(ROBOT.folder, msgspec.structs.replace(tables, name="thor", joints=fewer))
+    joints = {name: joint for name, joint in tables.joints.items() if name != "lidar_roll"}
+    groups = {name: members for name, members in tables.groups.items() if "lidar_roll" not in members}
+    thor = msgspec.structs.replace(tables, name="thor", joints=joints, groups=groups)
+    other = RobotDescription(ROBOT.folder, thor)
     with pytest.raises(BagError, match=r"38 joints in 'joint_position'; robot 'thor' has 37"):
         Recording(Bag(file), other).measured()
 

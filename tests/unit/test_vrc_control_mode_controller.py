@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 
 from motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from motion_manager.behaviors import OPERATIONAL, Behavior
+from tests.unit.vrc_in_process import ModeClient
 from valor_common.messages import ModeStatus
 from valor_common.robot import RobotDescription
 from valor_ros_controller.behavior_transition import (
@@ -26,21 +26,6 @@ from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterfac
 S = ModeStatus
 TABLE = ControlModeTable.load()
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
-
-
-@dataclass
-class Client:
-    """Keeps what it is told."""
-
-    seen: list[ModeReport] = field(default_factory=list)
-    result: ModeReport | None = None
-
-    def processing(self, report: ModeReport) -> None:
-        self.seen.append(report)
-
-    def finish(self, report: ModeReport) -> None:
-        assert self.result is None, "finished twice"
-        self.result = report
 
 
 class Plant:
@@ -89,7 +74,7 @@ class Plant:
             self.controller.update(self._hw)
 
     def ask(self, mode: str, cycles: int = 12) -> ModeReport:
-        client = Client()
+        client = ModeClient(mode)
         self.controller.request(mode, client)
         self.cycle(cycles)
         assert client.result is not None, f"{mode}: no result"
@@ -154,7 +139,7 @@ def test_manipulate_and_stand_manipulate_are_one_behavior_and_the_mode_is_rememb
 
 
 def test_feedback_says_processing(plant):
-    client = Client()
+    client = ModeClient()
     plant.controller.request("stand", client)
     plant.cycle(12)
     assert client.seen == [ModeReport("stand", "stand_prep", S.MODE_PROCESSING)]
@@ -163,7 +148,7 @@ def test_feedback_says_processing(plant):
 def test_a_second_request_meanwhile_is_refused_but_a_soft_stop_preempts(plant):
     plant.ask("stand")
     plant.deaf = True
-    first, second, third = Client(), Client(), Client()
+    first, second, third = ModeClient(), ModeClient(), ModeClient()
     plant.controller.request("step", first)
     plant.cycle(2)
     plant.controller.request("walk", second)
@@ -191,7 +176,7 @@ def test_a_fall_is_reported_in_the_cycle_that_hears_of_it(plant, mode):
 def test_a_fall_during_a_change_ends_the_change(plant):
     plant.ask("stand")
     plant.deaf = True
-    client = Client()
+    client = ModeClient()
     plant.controller.request("stand_manipulate", client)
     plant.cycle(3)
     plant.fsm.go(Behavior.FALL, "lost")
@@ -234,7 +219,7 @@ def test_a_step_without_arms_just_returns_to_stand(plant):
 
 def test_silence_and_return(plant):
     plant.ask("stand_manipulate")
-    client, late = Client(), Client()
+    client, late = ModeClient(), ModeClient()
     plant.deaf = True
     plant.controller.request("stand", client)
     plant.cycle(2)
@@ -300,7 +285,7 @@ def test_whatever_happens_every_client_is_answered_once_and_the_mode_is_true(seq
     clients = []
     for kind, value in sequence:
         if kind == "ask":
-            clients.append(Client())
+            clients.append(ModeClient())
             plant.controller.request(value, clients[-1])
             plant.cycle()
         elif kind == "go":

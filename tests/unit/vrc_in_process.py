@@ -253,7 +253,7 @@ class Vrc:
 class ModeClient:
     """Keeps what it is told."""
 
-    asked: str
+    asked: str = ""
     seen: list[ModeReport] = field(default_factory=list)
     result: ModeReport | None = None
 

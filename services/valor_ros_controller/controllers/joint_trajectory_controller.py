@@ -272,7 +272,7 @@ class JointTrajectoryController:
         except InvalidTrajectoryError as error:
             self.refuse(request.goal, error)
             return
-        self._end(Outcome(ErrorCode.INVALID_GOAL, "Current goal cancelled due to new incoming action: preempted"))
+        self._end(Outcome(ErrorCode.INVALID_GOAL, "Current goal preempted by new incoming action"))
         self._trajectory, self._request, self._moving = trajectory, request, True
         self._next_feedback = hw.time
 

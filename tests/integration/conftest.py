@@ -1,0 +1,34 @@
+"""Fixtures of the modules that try the VRC: a system of the module's own, which its ``SYSTEM`` describes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+import bifrost
+from tests.conftest import RunningInstance
+from tests.integration.vrc_system import go, standing_robot
+from tests.system import RosClient
+
+
+@pytest.fixture(scope="module")
+def system(request: pytest.FixtureRequest) -> Iterator[RunningInstance]:
+    """It runs, as long as the module's tests."""
+    with standing_robot(request.module.SYSTEM) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def ros(system: RunningInstance) -> Iterator[RosClient]:
+    """An ordinary ROS 2 client; the robot stands."""
+    client = RosClient(system.environment)
+    go(client, "stand")
+    yield client
+    client.close()
+
+
+@pytest.fixture(scope="module")
+def node(system: RunningInstance) -> bifrost.Node:
+    """A node in the system's Bifrost network."""
+    return system.node(f"{system.instance.name}_test")
