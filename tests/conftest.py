@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -163,14 +164,14 @@ def home() -> Iterator[Path]:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def ros_domain() -> int:
     """A ROS domain per test process, away from those that instances choose (1 to 101)."""
     return 102 + os.getpid() % 60
 
 
-@pytest.fixture
-def instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
+@contextmanager
+def fresh_instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
     """An instance with ``bifrostd`` running: free-running lockstep, hardware actuators, seed 0."""
     made = Instance("test", home)
     made.logs.mkdir(parents=True)
@@ -183,3 +184,10 @@ def instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
         yield running
     finally:
         running.close()
+
+
+@pytest.fixture
+def instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
+    """A ``fresh_instance`` of the test's own."""
+    with fresh_instance(home, ros_domain) as running:
+        yield running

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import shutil
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +27,7 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
 import bifrost
-from tests.conftest import RunningInstance, wait_until
+from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.system import in_executor
 from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
 from valor_common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
@@ -40,6 +43,7 @@ class ScriptedMotionManager:
     """Answers plans as it is told and says of itself what it is told, 50 times a second."""
 
     def __init__(self, node: bifrost.Node) -> None:
+        self._node = node
         self.requests: list[FootstepPlanRequest] = []
         self.accepts: Callable[[FootstepPlanRequest], tuple[bool, str]] = lambda request: (True, "")
         self.behavior, self.reason = "stand", ""
@@ -100,6 +104,7 @@ class ScriptedMotionManager:
     def close(self) -> None:
         self._stop.set()
         self._thread.join()
+        self._node.close()
 
 
 @dataclass
@@ -115,6 +120,7 @@ class Client:
     """An ordinary rclpy action client, spun in a thread."""
 
     def __init__(self, domain: int) -> None:
+        self.goals: list[Goal] = []
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.node = rclpy.create_node("planner", context=self._context)
@@ -123,10 +129,14 @@ class Client:
         self._executor.add_node(self.node)
         self._thread = ThreadPoolExecutor(1)
         self._spinning = self._thread.submit(self._executor.spin)
+        self.wait_for_server()
+
+    def wait_for_server(self) -> None:
         assert self._client.wait_for_server(LIMIT), f"no {ACTION}"
 
     def send(self, plan: StepPlan) -> Goal:
         goal = Goal()
+        self.goals.append(goal)
         future = in_executor(
             self._executor, self._client.send_goal_async, ExecuteStepPlan.Goal(step_plan=plan),
             feedback_callback=lambda m: goal.feedback.append(m.feedback),
@@ -169,22 +179,43 @@ def plan(first: int = 0, count: int = 4) -> StepPlan:
     return made
 
 
-@pytest.fixture
-def ros_client(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[Client]:
-    """The converter running, and a client of its action."""
-    for name, value in instance.instance.environment().items():
-        monkeypatch.setenv(name, value)
-    instance.start("footstep_converter", wait=True)
+@pytest.fixture(scope="module")
+def instance(ros_domain: int) -> Iterator[RunningInstance]:
+    """With the converter running: the same for all."""
+    home = Path(tempfile.mkdtemp(prefix="valor-"))
+    with fresh_instance(home, ros_domain) as running, pytest.MonkeyPatch.context() as environment:
+        for name, value in running.instance.environment().items():
+            environment.setenv(name, value)
+        running.start("footstep_converter", wait=True)
+        yield running
+    shutil.rmtree(home, ignore_errors=True)
+
+
+@pytest.fixture(scope="module")
+def ros_client(instance: RunningInstance) -> Iterator[Client]:
+    """A client of its action."""
     client = Client(instance.settings.ros_domain_id)
     yield client
     client.close()
 
 
 @pytest.fixture
-def motion(instance: RunningInstance) -> Iterator[ScriptedMotionManager]:
-    scripted = ScriptedMotionManager(instance.node("motion_manager"))
+def motion(instance: RunningInstance, ros_client: Client) -> Iterator[ScriptedMotionManager]:
+    """One for each test; a fall ends whatever plan a test leaves behind."""
+    scripted = ScriptedMotionManager(bifrost.Node("motion_manager", network=instance.network))
     yield scripted
+    scripted.silent, scripted.behavior = False, "fall"
+    wait_until(lambda: all(goal.result for goal in ros_client.goals), LIMIT, "the end of all goals")
     scripted.close()
+
+
+def test_without_a_motion_manager_the_error_says_so(ros_client: Client) -> None:
+    def said() -> str:
+        status, flags, text = ros_client.outcome(ros_client.send(plan()))
+        assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY)
+        return text
+
+    wait_until(lambda: "no Motion Manager" in said(), LIMIT, "the one before to be forgotten")
 
 
 def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_client: Client) -> None:
@@ -261,14 +292,15 @@ def test_a_broken_plan_is_refused_and_nothing_forwarded(
     instance: RunningInstance, motion: ScriptedMotionManager, ros_client: Client
 ) -> None:
     statistics = instance.node("watch").subscriber(FOOTSTEP_CONVERTER_STATISTICS.name, Statistics)
+    before = wait_until(statistics.latest, LIMIT, "the statistics").message.rejected
     elsewhere = plan()
-    elsewhere.header.frame_id = "map"
+    elsewhere.header.frame_id = "nowhere"
     far = plan()
     far.steps[2].foot.pose.position.x = 5.0
     endless = plan()
     endless.steps = endless.steps * 5000
     for broken, flag, error, text in [
-        (elsewhere, S.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, "frame 'map' is not known to tf"),
+        (elsewhere, S.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, "frame 'nowhere' is not known"),
         (far, S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP, "step 2 (left): forward of the other foot"),
         (endless, S.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, "20000 steps"),
         (StepPlan(), S.ERR_EMPTY_PLAN, ErrorStatus.ERR_INCONSISTENT_REQUEST, "no steps"),
@@ -279,14 +311,7 @@ def test_a_broken_plan_is_refused_and_nothing_forwarded(
         assert goal.feedback[-1].status.error == error
         assert text in said
     assert not motion.requests
-    wait_until(lambda: (r := statistics.latest()) and r.message.rejected == 4, LIMIT, "the refusals in the statistics")
-
-
-def test_without_a_motion_manager_the_error_says_so(ros_client: Client) -> None:
-    goal = ros_client.send(plan())
-    status, flags, text = ros_client.outcome(goal)
-    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY)
-    assert "no Motion Manager" in text
+    wait_until(lambda: (r := statistics.latest()) and r.message.rejected == before + 4, LIMIT, "the refusals counted")
 
 
 def test_a_silent_motion_manager_is_told_to_stop(motion: ScriptedMotionManager, ros_client: Client) -> None:
@@ -346,6 +371,8 @@ def test_the_loss_of_the_motion_manager_ends_the_plan(motion: ScriptedMotionMana
     status, flags, text = ros_client.outcome(goal)
     assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY | S.PREMATURE_HALT)
     assert "no word of the Motion Manager" in text
+    motion.silent = False
+    wait_until(lambda: not motion.requests[-1].steps, LIMIT, "the stop of what nobody follows")
 
 
 def test_a_canceled_plan_stops(motion: ScriptedMotionManager, ros_client: Client) -> None:
@@ -517,6 +544,8 @@ def test_stopping_the_converter_stops_the_plan_and_tells_the_client(
     status, flags, text = ros_client.outcome(goal)
     assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY | S.PREMATURE_HALT)
     assert "stopping" in text
+    instance.start("footstep_converter", wait=True)
+    ros_client.wait_for_server()
 
 
 def test_it_costs_next_to_nothing_at_idle(instance: RunningInstance, motion: ScriptedMotionManager,
