@@ -134,7 +134,7 @@ FIELDS = {
     | dict.fromkeys(("sway_duration", "step_duration", "swing_height"), "float")
     | {"data": "sequence<uint8>"},
     StepPlan: HEADER
-    | {"parameter_set_name": "string", "start": f"{VIGIR}/Feet", "goal": f"{VIGIR}/Feet"}
+    | {"parameter_set_name": "std_msgs/String", "start": f"{VIGIR}/Feet", "goal": f"{VIGIR}/Feet"}
     | {"steps": f"sequence<{VIGIR}/Step>", "mode": "uint8", "data": "sequence<uint8>"},
     StepPlanFeedback: HEADER | {"steps": f"sequence<{VIGIR}/Step>", "data": "sequence<uint8>"},
     ErrorStatus: {"error": "uint32", "error_msg": "string", "warning": "uint32", "warning_msg": "string"},
