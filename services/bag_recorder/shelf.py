@@ -15,6 +15,7 @@ from pathlib import Path
 from bag_recorder import tally
 from bag_recorder.bag import Bag, RecordedTopic
 from bag_recorder.clock import ClockChange, WallClock
+from valor_common import rosbag2_metadata
 from valor_common.bag_recovery import BagError, recover
 from valor_common.errors import ConfigurationError
 from valor_common.service import Context
@@ -42,22 +43,27 @@ class Shelf:
         self._notes = _Notes(context.instance.folder / "bag_recorder.json")
         self._tally = tally.Tally()
         self._latched: dict[RecordedTopic, tuple[int, int, bytes]] = {}
-        self.place()
+        self._folder = self._recording_folder()
         self._notes.recover_unfinished()
 
     def place(self, label: str = "") -> Path:
-        """Where the settings want the next bag; a folder gets a file named by date and time.
+        """Where the settings want the next bag: in the file that they name, else in a folder of its own name.
 
-        Raises:
-            ConfigurationError: the settings name no place for a bag.
+        Bags without a label are one recording and share their folder; one with a label is a recording by itself.
         """
         wanted = self._context.settings.bag
+        if wanted is not None and wanted.suffix == SUFFIX:
+            return wanted.with_stem(f"{wanted.stem}_{label}") if label else wanted
+        folder = _unused(self._folder.with_name(f"{_now()}_{label}")) if label else self._folder
+        return folder / f"{folder.name}{SUFFIX}"
+
+    def _recording_folder(self) -> Path:
+        wanted = self._context.settings.bag
         if wanted is None or wanted.is_dir():
-            folder = wanted or self._context.instance.bags
-            wanted = folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S}{SUFFIX}"
-        elif wanted.suffix != SUFFIX:
+            return _unused((wanted or self._context.instance.bags) / _now())
+        if wanted.suffix not in ("", SUFFIX):
             raise ConfigurationError(f"bag: {wanted}: expected a folder or a name that ends in {SUFFIX}")
-        return wanted.with_stem(f"{wanted.stem}_{label}") if label else wanted
+        return wanted
 
     def remember(self, topic: RecordedTopic, publish_time: int, sequence: int, data: bytes) -> None:
         """Keep the last message of a latched topic for the bags to come."""
@@ -103,6 +109,7 @@ class Shelf:
         bag.close()
         self._tally.settle(received, bag.written)
         self._notes.finished(bag.path)
+        _describe(bag.path)
         _log.info("%s: finished with %d messages", bag.path, bag.messages)
 
     def give_up(self, bag: Bag, error: OSError) -> str:
@@ -114,6 +121,7 @@ class Shelf:
         try:
             recover(bag.path)
             self._notes.finished(bag.path)
+            _describe(bag.path)
         except (BagError, OSError) as failed:
             _log.error("left to be finished later: %s", failed)
         return reason
@@ -175,6 +183,7 @@ class _Notes:
         for path in self._unfinished():
             try:
                 found = recover(path)
+                _describe(path)
                 _log.info("%s: recovered, %d messages", path, found.messages)
             except BagError as error:
                 _log.warning("not recovered: %s", error)
@@ -211,8 +220,21 @@ def told(error: OSError, path: Path) -> str:
     return f"{error.filename or path}: {error.strerror or error}"
 
 
+def _describe(bag: Path) -> None:
+    """Tell rosbag2 of a bag that is finished, if it stands in a folder of its own."""
+    if rosbag2_metadata.is_own_folder(bag):
+        try:
+            rosbag2_metadata.write(bag.parent)
+        except OSError as error:
+            _log.warning("%s: the folder is left without a new %s", told(error, bag), rosbag2_metadata.FILE)
+
+
+def _now() -> str:
+    return f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
+
+
 def _unused(path: Path) -> Path:
-    """The path, or with a number where a file stands already: no bag is ever overwritten."""
+    """The path, or with a number where something stands already: no bag is ever overwritten."""
     candidate, number = path, 0
     while candidate.exists():
         number += 1

@@ -73,7 +73,7 @@ def motor(sequence: int) -> Motor:
 
 
 def bags(instance: RunningInstance) -> list[Path]:
-    return sorted(instance.instance.bags.glob("*.mcap"), key=lambda path: path.stat().st_ctime_ns)
+    return sorted(instance.instance.bags.rglob("*.mcap"), key=lambda path: path.stat().st_ctime_ns)
 
 
 def counts(path: Path) -> Counter[str]:
@@ -181,7 +181,7 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
     action.destroy()
 
     found: dict[str, list[tuple[int, object]]] = {}
-    with AnyReader([path]) as reader:  # decodes by the definitions in the bag alone
+    with AnyReader([path.parent]) as reader:  # opens by metadata.yaml, decodes by the definitions in the bag alone
         for connection, timestamp, data in reader.messages():
             found.setdefault(connection.topic, []).append((timestamp, reader.deserialize(data, connection.msgtype)))
     expected = {

@@ -61,7 +61,7 @@ def bag(system: RunningInstance, said: dict[str, Any]) -> Path:
     """The recording of all that, finished."""
     del said
     assert system.stop("bag_recorder", timeout=PATIENCE) == 0
-    (path,) = system.instance.bags.glob("*.mcap")
+    (path,) = system.instance.bags.rglob("*.mcap")
     return path
 
 

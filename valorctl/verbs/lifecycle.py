@@ -33,7 +33,7 @@ def up(
     rtf: Annotated[
         float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
     ] = None,
-    bag: Annotated[Path | None, typer.Option(help="The recorder's file, .mcap.")] = None,
+    bag: Annotated[Path | None, typer.Option(help="The recorder's file, .mcap, or a new folder.")] = None,
     bag_only: Annotated[
         list[str] | None, typer.Option(metavar="PATTERN", help="Record only topics like '/bifrost/*'; may be repeated.")
     ] = None,

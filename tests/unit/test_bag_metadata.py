@@ -1,0 +1,63 @@
+"""metadata.yaml: a folder of bags as rosbag2 reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
+
+from bag_recorder.bag import Bag, RecordedTopic
+from valor_common import rosbag2_metadata
+
+QOS = yaml.safe_dump([
+    {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "transient_local",
+     "deadline": {"sec": 1, "nsec": 2}, "lifespan": {"sec": 1, "nsec": 2}, "liveliness": "automatic",
+     "liveliness_lease_duration": {"sec": 1, "nsec": 2}, "avoid_ros_namespace_conventions": False}
+])  # fmt: skip
+WORDS = RecordedTopic("/words", "std_msgs/msg/String", "string data", QOS, latched=True)
+NUMBERS = RecordedTopic("/numbers", "std_msgs/msg/Int64", "int64 data")
+
+
+def bag(path: Path, first: int, count: int, topics: tuple[RecordedTopic, ...], close: bool = True) -> None:
+    path.parent.mkdir(exist_ok=True)
+    made = Bag(path)
+    for i in range(count):
+        for topic in topics:
+            made.write(topic, first + i, first + i, i, b"\0\1\0\0\0\0\0\0")
+    made.close() if close else made.abandon()
+
+
+def test_the_splits_of_a_recording_are_one_bag_in_their_order(tmp_path: Path) -> None:
+    folder = tmp_path / "walk"
+    bag(folder / "walk.mcap", 1000, 5, (WORDS,))
+    bag(folder / "walk_10.mcap", 3000, 3, (NUMBERS,))
+    bag(folder / "walk_2.mcap", 2000, 4, (WORDS, NUMBERS))
+    bag(folder / "walk_11.mcap", 4000, 4, (WORDS,), close=False)
+    assert rosbag2_metadata.write(folder) == folder / "metadata.yaml"
+    assert "&" not in (folder / "metadata.yaml").read_text()
+    with Reader(folder) as reader:
+        assert reader.message_count == 5 + 2 * 4 + 3
+        assert (reader.start_time, reader.end_time) == (1000, 3003)
+        assert {each.topic: each.msgcount for each in reader.connections} == {"/numbers": 7, "/words": 9}
+        (words,) = (each for each in reader.connections if each.topic == "/words")
+        assert words.ext.offered_qos_profiles[0].durability == QosDurability.TRANSIENT_LOCAL  # type: ignore[union-attr]
+        assert [stamp for connection, stamp, _ in reader.messages() if connection.topic == "/words"] == [
+            *range(1000, 1005), *range(2000, 2004)
+        ]  # fmt: skip
+    assert [path.name for path in folder.iterdir() if path.suffix == ".new"] == []
+
+
+def test_a_folder_without_a_finished_bag_gets_none(tmp_path: Path) -> None:
+    bag(tmp_path / "a" / "a.mcap", 1, 1, (WORDS,), close=False)
+    assert rosbag2_metadata.write(tmp_path / "a") is None
+    assert not (tmp_path / "a" / "metadata.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "own"), [("walk/walk.mcap", True), ("walk/walk_1.mcap", True), ("bags/walk.mcap", False)]
+)
+def test_a_bag_stands_in_a_folder_of_its_own_name_or_not(file: str, own: bool) -> None:
+    assert rosbag2_metadata.is_own_folder(Path(file)) == own
