@@ -13,6 +13,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from valor_analysis import parquet
 from valor_analysis.errors import BagError
 from valor_analysis.flat import Flattener, Shape
 from valor_analysis.ros_types import Types
@@ -41,30 +42,38 @@ class Export:
 
 
 def export(
-    path: Path, out: Path, topics: Sequence[str] = (), tell: Callable[[int], None] = lambda messages: None
+    path: Path,
+    out: Path,
+    topics: Sequence[str] = (),
+    tell: Callable[[int], None] = lambda messages: None,
+    *,
+    as_parquet: bool = False,
 ) -> Export:
-    """Write a bag's topics as CSV.
+    """Write a bag's topics as CSV, or as Parquet.
 
     Args:
         path: an MCAP or SQLite file, or a folder of them.
         out: a folder that is made, or is empty.
         topics: shell patterns; none: all.
         tell: told now and then how many messages have been read.
+        as_parquet: turn each finished CSV into Parquet.
 
     Raises:
-        BagError: there is no bag, or nothing can be written where it shall.
+        BagError: there is no bag, nothing can be written where it shall, or Parquet needs what is not installed.
     """
+    if as_parquet:
+        parquet.require()
     bag = StoredBag(path)
     try:
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise BagError(f"{out}: expected an empty folder, or a name for a new one")
-        return _export(bag, out, Selection(tuple(topics)), tell)
+        return _export(bag, out, Selection(tuple(topics)), tell, as_parquet)
     except OSError as error:
         raise BagError(f"{error.filename or out}: {error.strerror}") from None
 
 
-def _export(bag: StoredBag, out: Path, selection: Selection, tell: Callable[[int], None]) -> Export:
+def _export(bag: StoredBag, out: Path, selection: Selection, tell: Callable[[int], None], as_parquet: bool) -> Export:
     types, notices = Types(), _Notices()
     tables: dict[StoredTopic, _Table | None] = {}
     names: set[str] = set()
@@ -99,6 +108,12 @@ def _export(bag: StoredBag, out: Path, selection: Selection, tell: Callable[[int
         notices.lines += [
             f"{table.path.name}: {name}: too long to write out; its length is there" for name in table.omitted
         ]
+    if as_parquet:
+        for table in made:
+            try:
+                table.convert()
+            except BagError as error:
+                notices.lines.append(str(error))
     return Export({table.path: table.rows for table in made if table.rows}, notices.all(), bag.condition)
 
 
@@ -144,13 +159,14 @@ class _Table:
         self._flattener = flattener
         self._file: TextIOWrapper | None = None
         self._columns: dict[str, int] = {TIME: 0}
+        self._types: dict[str, type] = {TIME: int}
         self._header = 0  # columns that the file's first line has
         self._places: dict[Shape, list[int] | None] = {}  # of a shape's values; None: just behind each other
 
     def add(self, stamp: int, message: Any) -> None:
         shape, values = self._flattener.row(message)
         if shape not in self._places:
-            self._places[shape] = self._place(message)
+            self._places[shape] = self._place(message, values)
         places = self._places[shape]
         row: list[Any]
         if places is None:
@@ -170,10 +186,11 @@ class _Table:
         self._writer.writerow(row)
         self.rows += 1
 
-    def _place(self, message: Any) -> list[int] | None:
+    def _place(self, message: Any, values: Sequence[Any]) -> list[int] | None:
         columns = self._flattener.columns(message)
-        for name in columns:
+        for name, value in zip(columns, values, strict=True):
             self._columns.setdefault(name, len(self._columns))
+            self._types.setdefault(name, _kind(value))
         for name in self._flattener.omitted(message):
             if name not in self.omitted:
                 self.omitted.append(name)
@@ -198,3 +215,17 @@ class _Table:
             width = len(self._columns)
             writer.writerows(row + [""] * (width - len(row)) for row in rows)
         beside.replace(self.path)
+
+    def convert(self) -> None:
+        """Put a Parquet file in the closed CSV's place.
+
+        Raises:
+            BagError: it cannot be; the CSV stays.
+        """
+        if self.rows:
+            self.path = parquet.convert(self.path, self._types)
+
+
+def _kind(value: Any) -> type:
+    """What a column holds, by one of its values."""
+    return next((kind for kind in (bool, int, float) if isinstance(value, kind)), str)

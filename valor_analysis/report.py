@@ -10,6 +10,11 @@ from pathlib import Path
 from valor_analysis.errors import ResultError
 from valor_analysis.results import Measure, Picture, Result, Table
 
+TITLE = "Chapter 5, measured again"
+INTRODUCTION = (
+    "The numerical results of the thesis from which this system was built, repeated on it: each number beside the one "
+    "printed there, and why they differ."
+)
 _STYLE = """
 :root { color-scheme: light; --ink: #22272e; --grey: #6b7480; --line: #dde1e6; --soft: #f5f7f9; --accent: #0072b2; }
 * { box-sizing: border-box; }
@@ -73,10 +78,8 @@ def write(results: Sequence[tuple[Result, Path]], file: Path) -> Path:
     file.write_text(
         "<!doctype html>\n"
         f'<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>Chapter 5, measured again</title><style>{_STYLE}</style></head><body>"
-        "<h1>Chapter 5, measured again</h1>"
-        "<p>The numerical results of the thesis from which this system was built, repeated on it: each number beside "
-        "the one printed there, and why they differ.</p>"
+        f"<title>{TITLE}</title><style>{_STYLE}</style></head><body>"
+        f"<h1>{TITLE}</h1><p>{INTRODUCTION}</p>"
         f"<nav>{links}</nav>{_host(results[0][0])}{parts}</body></html>\n"
     )
     return file
@@ -102,7 +105,7 @@ def _section(result: Result, folder: Path) -> str:
 
 def _measures(measures: Sequence[Measure]) -> str:
     rows = "".join(
-        f'<tr><td>{_text(one.name)}</td><td class="number here">{_number(one.value)}</td><td>{_text(one.unit)}</td>'
+        f'<tr><td>{_text(one.name)}</td><td class="number here">{number(one.value)}</td><td>{_text(one.unit)}</td>'
         f'<td>{_text(one.thesis) or "–"}</td><td class="note">{_text(one.note)}</td></tr>'
         for one in measures
     )
@@ -111,12 +114,10 @@ def _measures(measures: Sequence[Measure]) -> str:
 
 
 def _table(table: Table) -> str:
-    first, *others = table.columns
-    head = f"<th>{_text(first)}</th>" + "".join(f'<th class="number">{_text(name)}</th>' for name in others)
+    kinds = ["" if table.is_text(i) else ' class="number"' for i in range(len(table.columns))]
+    head = "".join(f"<th{kind}>{_text(name)}</th>" for kind, name in zip(kinds, table.columns, strict=True))
     rows = "".join(
-        f"<tr><td>{_text(row[0])}</td>"
-        + "".join(f'<td class="number">{_text(cell)}</td>' for cell in row[1:])
-        + "</tr>"
+        "<tr>" + "".join(f"<td{kind}>{_text(cell)}</td>" for kind, cell in zip(kinds, row, strict=True)) + "</tr>"
         for row in table.rows
     )
     return f"<h3>{_text(table.title)}</h3><table><tr>{head}</tr>{rows}</table>"
@@ -140,7 +141,8 @@ def _host(result: Result) -> str:
     return f'<p class="quiet">Measured on {_text(facts)}.</p>'
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """A measure's value, short."""
     return "–" if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 

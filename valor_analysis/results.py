@@ -13,6 +13,7 @@ from valor_analysis import json_file
 from valor_analysis.errors import ResultError
 
 FILE = "result.json"
+LONGEST_NUMBER = 16  # characters of a number, its unit and sign
 
 
 class Measure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -31,6 +32,10 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     title: str
     columns: list[str]
     rows: list[list[str]]
+
+    def is_text(self, column: int) -> bool:
+        """Whether a column holds text, to be read from the left; else numbers, to be compared by their ends."""
+        return column == 0 or any(len(row[column]) > LONGEST_NUMBER for row in self.rows)
 
 
 class Picture(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -10,12 +10,13 @@ import time
 from html.parser import HTMLParser
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import psutil
 import pytest
 
 from tests import analysis_bag
-from valor_analysis import report
+from valor_analysis import report, report_pdf
 from valor_analysis.bag import Bag
 from valor_analysis.errors import BagError, ResultError, SignalError
 from valor_analysis.joint_signals import JointSignals, draw, neck
@@ -84,6 +85,28 @@ def test_a_page_holds_all_and_needs_no_other_file(tmp_path: Path) -> None:
     assert page.images == [(tmp_path / "one" / "a.png").read_bytes()] * 2
     for words in ("What <one> costs", "Done & said.", "12.3", "A <picture>.", "Figure 5.1", "valorctl experiment two"):
         assert words in page.text
+
+
+def test_paper_holds_the_same(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        save(figure(4.0, 3.0), tmp_path / name / "a.png")
+        text = Table("Words", ["", "how"], [["x", "as long as it takes, → and more"]])
+        made = result(name, [Picture("a.png", "A <picture>.", "Figure 5.1")])
+        msgspec.structs.replace(made, tables=[*made.tables, text]).save(tmp_path / name)
+    content = report_pdf.write(report.collect(tmp_path, ("one", "two")), tmp_path / "out" / "report.pdf").read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert content.count(b"/Type /Page\n") >= 2
+    assert content.count(b"/Subtype /Image") >= 1
+    assert content.count(b"/Title") >= 3  # of the document and of both experiments
+    (tmp_path / "one" / "a.png").write_text("no picture")
+    with pytest.raises(ResultError, match=r"one/a\.png: not a picture"):
+        report_pdf.write(report.collect(tmp_path, ("one",)), tmp_path / "report.pdf")
+
+
+def test_columns_of_words_begin_at_the_left() -> None:
+    table = Table("", ["", "a", "b"], [["row", "12.3", "-"], ["row", "–", "by cross-correlation"]])
+    assert [table.is_text(i) for i in range(3)] == [True, False, True]
 
 
 def test_what_is_missing_or_broken_is_named(tmp_path: Path) -> None:

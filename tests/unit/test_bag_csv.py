@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sqlite3
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,35 @@ def test_columns_that_come_later_stand_at_the_right_and_every_row_is_as_wide(tmp
     assert [[row["position.a"], row["position.b"], row["position.c"]] for row in rows] == [
         ["0.0", "1.0", ""], ["1.1", "0.1", ""], ["", "0.2", "1.2"], ["0.30000000000000004", "1.3", ""], ["", "", ""],
     ]  # fmt: skip
+
+
+def test_as_parquet_a_column_has_one_type_and_what_is_not_there_is_null(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")  # an extra
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        joints = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=STORE)
+        for i, names in enumerate((["a"], ["a", "b"])):
+            message = joint_state(i, names)
+            message.position[0] = (np.nan, 1.5)[i]  # type: ignore[attr-defined]
+            writer.write(joints, i, STORE.serialize_cdr(message, "sensor_msgs/msg/JointState"))
+    made = export(tmp_path / "bag", tmp_path / "out", as_parquet=True)
+    assert [(file.name, rows) for file, rows in made.files.items()] == [("joint_states.parquet", 2)]
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["joint_states.parquet"]
+    read = parquet.read_table(tmp_path / "out" / "joint_states.parquet")
+    assert [str(read.schema.field(name).type) for name in ("log_time_ns", "header.frame_id", "position.a")] == [
+        "int64", "string", "double",
+    ]  # fmt: skip
+    first, second = read.to_pylist()
+    assert np.isnan(first["position.a"]) and first["position.b"] is None
+    assert (second["position.a"], second["position.b"], second["header.frame_id"]) == (1.5, 1.1, "base")
+
+
+def test_parquet_without_pyarrow_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.path", [])
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pyarrow"]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(BagError, match=r"pip install 'valor\[parquet\]'"):
+        export(tmp_path, tmp_path / "out", as_parquet=True)
+    assert not (tmp_path / "out").exists()
 
 
 def test_unknown_types_and_long_arrays_are_told_and_the_rest_is_written(tmp_path: Path) -> None:

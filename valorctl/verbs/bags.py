@@ -65,9 +65,12 @@ def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False)
 @bag.command()
 def recover(file: File) -> None:
     """Finish in place a recording whose recorder was killed; one that is whole is left alone."""
+    from valor_common import rosbag2_metadata
     from valor_common.bag_recovery import recover as finish
 
     found = finish(file)
+    if rosbag2_metadata.is_own_folder(file.absolute()):
+        rosbag2_metadata.write(file.absolute().parent)
     if found.finished:
         say(f"{file}: whole, {found.messages} messages")
     else:
@@ -81,6 +84,7 @@ def csv(
     topic: Annotated[
         list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
     ] = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="As Parquet files; needs pyarrow.")] = False,
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Write any ROS 2 bag as CSV, one file a topic; of a damaged one what can be saved, and then fail."""
@@ -93,7 +97,7 @@ def csv(
             interruption.check()
             shown.waiting(f"{messages} messages")
 
-        made = export(bag_path, folder, topic or (), tell)
+        made = export(bag_path, folder, topic or (), tell, as_parquet=parquet)
     if json:
         say_json(
             {

@@ -66,6 +66,7 @@ def report(
     ),
     *,
     out: Annotated[Path | None, typer.Option(help="The page; FOLDER/report.html unless given.")] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="And the same as a PDF beside the page.")] = False,
 ) -> None:
     """Gather the results of experiments into one page, each number beside the thesis'."""
     from valor_analysis import report as page
@@ -74,6 +75,11 @@ def report(
     results = page.collect(folder.expanduser().absolute(), tuple(BY_NAME))
     file = page.write(results, (out or folder / "report.html").expanduser().absolute())
     say(f"{file}: {len(results)} experiments ({file.stat().st_size / 1e6:.1f} MB)")
+    if pdf:
+        from valor_analysis import report_pdf
+
+        paper = report_pdf.write(results, file.with_suffix(".pdf"))
+        say(f"{paper} ({paper.stat().st_size / 1e6:.1f} MB)")
     if missing := set(BY_NAME) - {result.experiment for result, _ in results}:
         say(f"not there: {', '.join(name for name in BY_NAME if name in missing)}")
 
