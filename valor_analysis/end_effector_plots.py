@@ -72,6 +72,35 @@ def base(track: HandTrack, file: Path) -> Path:
     return style.save(figure, file)
 
 
+def shares(track: HandTrack, file: Path) -> Path:
+    """The whole error from the goal and the floating base's part of it, by component and as distances (figure 5.15)."""
+    figure = style.figure(11.0, 5.8)
+    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    at = track.time - track.time[0]
+    total, moved = track.total_error, track.base_error
+    above, below = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    style.quiet(above, "solid: from the goal; dashed: by the floating base", "", "[cm]")
+    for i, name in enumerate(_AXES):
+        above.plot(at, 100.0 * total.position[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
+        above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.1, linestyle=(0, (3, 2)))
+    style.quiet(below, "distance", "robot time [s]", "[cm]")
+    below.plot(at, 100.0 * total.distance, color=style.GREY, linewidth=1.3, label="from the goal, all causes")
+    below.plot(at, 100.0 * moved.distance, color=style.MEASURED, linewidth=1.6, label="by the base's motion")
+    # On the way to a goal errors are those of motions that are not made yet: what stays is what is looked at.
+    rest = np.concatenate([np.flatnonzero(track.settled(motion)) for motion in track.motions])
+    most = 140.0 * float(np.abs(total.position[rest]).max())
+    above.set_ylim(-max(most, 1.0), max(most, 1.0))
+    below.set_ylim(0.0, max(140.0 * float(total.distance[rest].max()), 1.0))
+    for axes in (above, below):
+        axes.set_xlim(at[0], at[-1])
+        bands(axes, at, track.behavior)
+        _mark(axes, track)
+        style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.24), ncols=3)
+    largest = 100.0 * float(total.distance[rest].max())
+    style.heading(figure, "Whose error it is", f"at rest at most {largest:.1f} cm from the goal")
+    return style.save(figure, file)
+
+
 def torso(track: HandTrack, file: Path) -> Path:
     """How the chest, which carries the arms, moves while an arm does."""
     figure = style.figure(11.0, 3.4)

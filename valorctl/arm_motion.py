@@ -113,6 +113,8 @@ def follow(
     goal: Mapping[str, float],
     duration: float,
     check: Callable[[], None] = lambda: None,
+    *,
+    tolerant: bool = False,
 ) -> None:
     """Bring the joints of a group to rest at a goal by way of the VRC's trajectory controller, and wait for the result.
 
@@ -122,12 +124,14 @@ def follow(
         goal: final position of every joint of the group [rad].
         duration: of the motion [robot time, s].
         check: called while waiting; may raise to give up, which cancels the motion.
+        tolerant: no joint's error, on the way or at the goal, ends the motion.
 
     Raises:
         ValorError: the goal was refused, or the motion failed; carries the controller's words.
     """
     from builtin_interfaces.msg import Duration
     from control_msgs.action import FollowJointTrajectory
+    from control_msgs.msg import JointTolerance
     from trajectory_msgs.msg import JointTrajectoryPoint
 
     from valorctl.ros_client import GoalRefusedError, RosClient
@@ -143,6 +147,9 @@ def follow(
             time_from_start=Duration(sec=int(whole), nanosec=int(part * 1e9)),
         )
     ]
+    if tolerant:
+        unchecked = [JointTolerance(name=joint, position=-1.0, velocity=-1.0, acceleration=-1.0) for joint in goal]
+        message.path_tolerance = message.goal_tolerance = unchecked
     action = f"/trajectory_controllers/{group}_traj_controller/follow_joint_trajectory"
     with RosClient(instance, check) as ros:
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,17 @@ def measured(folder: Path, experiment: str) -> tuple[dict[str, Any], dict[str, f
 def test_experiments_leave_results_and_a_report_gathers_them(system: System, home: Path) -> None:
     before = shared_memory()
     out = home / "out"
-    for name in ("ipc-latency", "tracking"):
-        told = system.valorctl("experiment", name, "--quick", "--seed", "2", "--out", str(out), timeout=170.0).stdout
+
+    def run(on: System, name: str) -> None:
+        told = on.valorctl("experiment", name, "--quick", "--seed", "2", "--out", str(out), timeout=170.0).stdout
         assert str(out / name / "result.json") in told
+
+    with ThreadPoolExecutor(1) as beside:  # messages between two ends load nothing
+        other = System("messages", home)
+        latencies = beside.submit(run, other, "ipc-latency")
+        for name in ("tracking", "pathway-latency"):
+            run(system, name)
+        latencies.result()
 
     result, numbers = measured(out, "ipc-latency")
     assert [row[-1] for row in result["tables"][0]["rows"]] == ["0"] * 4  # nothing was lost
@@ -45,11 +54,21 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
     assert numbers["neck yaw at rest from its goal"] < 0.05
     assert 0.0 < numbers["encoder after motor command, mean"] < 200.0
 
-    told = system.valorctl("report", str(out)).stdout
-    assert "2 experiments" in told
+    result, numbers = measured(out, "pathway-latency")
+    samples = {row[0]: int(row[4]) for row in result["tables"][0]["rows"]}
+    assert len(samples) == 8
+    assert all(samples.values()), samples
+    assert samples["Mode change reported"] == 3
+    for pathway in ("mode change", "proprioception", "joint command"):
+        assert 0.0 < numbers[f"{pathway}, hardware"] < 2000.0
+
+    told = system.valorctl("report", str(out), "--pdf").stdout
+    assert "3 experiments" in told
     assert "not there: process-stats, end-effector" in told
     assert (out / "report.html").stat().st_size > 100_000
-    assert leftovers(home, system.name, before) == []
+    assert (out / "report.pdf").read_bytes().startswith(b"%PDF-")
+    for name in (system.name, other.name):
+        assert leftovers(home, name, before) == []
 
 
 def test_the_experiments_are_listed_and_others_refused(system: System, home: Path) -> None:

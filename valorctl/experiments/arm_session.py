@@ -11,6 +11,7 @@ import bifrost
 from valor_analysis.timeline import Motion, Timeline
 from valor_common.errors import ValorError
 from valor_common.messages import Proprioceptor
+from valor_common.resources import robot_folder
 from valor_common.robot import RobotDescription
 from valor_common.topics import PROPRIOCEPTOR
 from valorctl import arm_motion, control_mode
@@ -18,20 +19,30 @@ from valorctl.experiments.experiment import Run
 
 MODE = "stand_manipulate"  # nothing holds the pelvis: the thesis' behavior
 SPEED = 0.4  # fraction of the joint speed limits
-SETTLE = 1.5  # after a motion, before the next begins [robot time, s]
+SETTLE, QUICK_SETTLE = 1.5, 0.6  # after a motion, before the next begins [robot time, s]
 SILENCE = 5.0  # of the devices, that ends the experiment [s]
+REAL_ARMS = "drc_finals"  # of robot.yaml's actuators: backlash, no gravity compensation, a sick right wrist
 ARM, NECK = "right_arm", "neck"
 POSES = ("forward", "home", "side", "home", "up", "home", "fold", "home")
+TURNED = 0.4  # the last joint of the wrist, away from home, which no pose turns by itself [rad]
 LOOKS = (0.6, -0.6, 0.0)  # of the neck's yaw [rad]
 
 
-def record(run: Run, bag: Path, robot: Path | None = None) -> tuple[Timeline, RobotDescription]:
+def real_arms(run: Run) -> str | None:
+    """The profile of the arms as they were on the real robot; None: this robot has none."""
+    return REAL_ARMS if REAL_ARMS in RobotDescription.load(robot_folder(run.options.robot)).tables.actuators else None
+
+
+def record(
+    run: Run, bag: Path, robot: Path | None = None, actuators: str | None = None
+) -> tuple[Timeline, RobotDescription]:
     """Bring a system up, move neck and arm, take it down; the bag is complete then.
 
     Args:
         run: the experiment.
         bag: where it is recorded.
         robot: its folder, if it is not the profile's robot.
+        actuators: their profile, if it is not the command line's.
 
     Returns:
         What was asked and when, and the robot.
@@ -41,7 +52,7 @@ def record(run: Run, bag: Path, robot: Path | None = None) -> tuple[Timeline, Ro
     """
     quick = run.options.quick
     motions: list[Motion] = []
-    with run.system(bag=bag, robot=robot) as settings:
+    with run.system(bag=bag, robot=robot, actuators=actuators) as settings:
         description = RobotDescription.load(settings.robot)
         network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
         with bifrost.Node("experiment", network=network) as node:
@@ -54,7 +65,10 @@ def record(run: Run, bag: Path, robot: Path | None = None) -> tuple[Timeline, Ro
                 target = {yaw: look, **dict.fromkeys(others, 0.0)}
                 motions.append(devices.move(f"look {look:+.1f} rad", NECK, target))
             presets = description.tables.arm_presets
-            motions += [devices.move(name, ARM, presets[name]["right"]) for name in (POSES[:2] if quick else POSES)]
+            wrist = description.tables.groups[ARM][-1]
+            for name in POSES[:2] if quick else POSES:
+                target = presets[name]["right"] | ({} if name == "home" else {wrist: TURNED})
+                motions.append(devices.move(name, ARM, target))
     timeline = Timeline(motions)
     timeline.save(bag.with_suffix(".json"))
     run.files += [bag, bag.with_suffix(".json")]
@@ -74,8 +88,9 @@ class _Devices:
         start = dict(zip(self._robot.joints, now.joint_position.tolist(), strict=True))
         goal = {joint: float(target.get(joint, start[joint])) for joint in self._robot.tables.groups[group]}
         duration = arm_motion.trajectory_duration(self._robot, start, goal, SPEED)
-        arm_motion.follow(self._run.instance, group, goal, duration, self._run.interruption.check)
-        settled = self._newest().time + round(SETTLE * 1e9)
+        # Errors are what is measured: none of them ends a motion.
+        arm_motion.follow(self._run.instance, group, goal, duration, self._run.interruption.check, tolerant=True)
+        settled = self._newest().time + round((QUICK_SETTLE if self._run.options.quick else SETTLE) * 1e9)
         while (now_time := self._newest().time) < settled:
             self._run.interruption.check()
         self._run.progress.done(f"{group.replace('_', ' ')}: {name} ({duration:.1f} s)")

@@ -1,7 +1,8 @@
 """Figures 5.7–5.15: where the hand ends, on a fixed base as clients assume it, and on the floating one.
 
-Twice: as the thesis' controller did it, which keeps the center of mass where it is and lets the torso give way, and as
-ours does it, which lets the center of mass go with the arm as far as the feet allow.
+As the thesis' controller did it, which keeps the center of mass where it is and lets the torso give way: with arms
+that reach their goals, and with arms as they were on the real robot. And as ours does it, which lets the center of mass
+go with the arm as far as the feet allow.
 """
 
 from __future__ import annotations
@@ -23,13 +24,15 @@ THESIS = {"whole_body": {"com_shift_limit": 0.0}}  # the center of mass stays, w
 
 
 def run(run: Run) -> None:
-    """Move the right arm through predefined configurations, without and with what compensates for the torso."""
+    """Move the right arm through predefined configurations: the thesis' way, with its arms, and our own way."""
     os.environ.setdefault("MUJOCO_GL", "egl")
     from valor_analysis import end_effector_plots as plots
 
     folder = robot_variant.make(run.options.robot, THESIS, run.out / "robot")
     kept, recording = _session(run, run.out / "end_effector.mcap", folder)
     ours, _ = _session(run, run.out / "end_effector_compensated.mcap", None)
+    profile = arm_session.real_arms(run)
+    real = _session(run, run.out / "end_effector_real_arms.mcap", folder, profile) if profile else None
     run.text = (
         f"The right arm goes through the configurations {', '.join(dict.fromkeys(m.name for m in kept.motions))} in "
         f"control mode {arm_session.MODE}. Poses are of the gripper's frame, by forward kinematics. Fixed base: the "
@@ -37,17 +40,27 @@ def run(run: Run) -> None:
         "Whole-Body Controller keeps the center of mass where it is (com_shift_limit 0), and nothing compensates for "
         "what the torso does; a second run shows this system's own way, in which the center of mass goes with the arm."
     )
+    if real:
+        run.text += (
+            f" A third one has the thesis' way with the arms as they were (actuators {profile}): harmonic drives with "
+            "friction, 7 cm of play at the gripper of the stretched arm, no gravity compensation, and a right wrist "
+            "yaw that hardly turns."
+        )
     run.tables += [_table("As in the thesis: at rest after each motion [cm]", kept),
                    _table("This system's own way [cm]", ours)]  # fmt: skip
-    _measure(run, kept, ours)
+    if real:
+        run.tables.append(_table("As in the thesis, with the real robot's arms [cm]", real[0]))
+    _measure(run, kept, ours, real[0] if real else None)
     run.files += [_write_csv(kept, run.out / "end_effector.csv"),
                   _write_csv(ours, run.out / "end_effector_compensated.csv")]  # fmt: skip
+    if real:
+        run.files.append(_write_csv(real[0], run.out / "end_effector_real_arms.csv"))
     run.progress.waiting("drawing")
     for error, name, title, subtitle, figure in (
         (kept.command_error, "command", "What the VRC still has to go", "its set-points from the goal, fixed base",
          "Figure 5.8"),
         (kept.tracking_error, "tracking", "How the robot follows the VRC", "measured from its set-points, fixed base",
-         "Figures 5.9, 5.14"),
+         "Figure 5.9"),
         (kept.total_error, "total", "How far the hand is from its goal", "measured, floating base, from the goal",
          "Figure 5.11"),
     ):  # fmt: skip
@@ -55,18 +68,33 @@ def run(run: Run) -> None:
         run.picture([made], f"{title}: {subtitle}.", figure)
     run.picture([plots.base(kept, run.out / "end_effector_base.png")],
                 "The hand's pose with the base where it is, from that with the base where it was.",
-                "Figures 5.12, 5.15")  # fmt: skip
+                "Figure 5.12")  # fmt: skip
     run.picture([plots.base(ours, run.out / "end_effector_base_compensated.png")],
                 "The same where the center of mass goes with the arm.")  # fmt: skip
     run.picture([plots.torso(kept, run.out / "end_effector_torso.png")], "The torso's motion.")
     names = list(dict.fromkeys(motion.name for motion in kept.motions))
     run.picture([plots.poses(recording, kept, names, run.out / "end_effector_poses.png")],
-                "The robot at rest at each pose.", "Figures 5.7, 5.10, 5.13")  # fmt: skip
+                "The robot at rest at each pose.", "Figures 5.7, 5.10")  # fmt: skip
+    if real:
+        _draw_real(run, *real, names)
 
 
-def _session(run: Run, bag: Path, robot: Path | None) -> tuple[HandTrack, Recording]:
+def _draw_real(run: Run, track: HandTrack, recording: Recording, names: list[str]) -> None:
+    """Figures 5.13 to 5.15."""
+    from valor_analysis import end_effector_plots as plots
+
+    run.picture([plots.poses(recording, track, names, run.out / "real_arms_poses.png")],
+                "The robot at rest at each pose, with the real robot's arms.", "Figure 5.13")  # fmt: skip
+    made = plots.errors(track, track.tracking_error, "How the real robot's arms follow the VRC",
+                        "measured from its set-points, fixed base", run.out / "real_arms_tracking.png")  # fmt: skip
+    run.picture([made], "Errors that stay: play, weight, and a wrist that does not turn (yaw).", "Figure 5.14")
+    run.picture([plots.shares(track, run.out / "real_arms_shares.png")],
+                "How far the hand is from its goal, and the floating base's part of it.", "Figure 5.15")  # fmt: skip
+
+
+def _session(run: Run, bag: Path, robot: Path | None, actuators: str | None = None) -> tuple[HandTrack, Recording]:
     """Record the motions, and compute the hand's poses."""
-    timeline, description = arm_session.record(run, bag, robot)
+    timeline, description = arm_session.record(run, bag, robot, actuators)
     run.progress.waiting("computing the hand's poses")
     recording = Recording(Bag(bag), description)
     return HandTrack.of(recording, timeline, "right"), recording
@@ -83,7 +111,7 @@ def _table(title: str, track: HandTrack) -> Table:
     return Table(title, ["pose", "base x", "base y", "base z", "by the base", "from the goal", "from set-points"], rows)
 
 
-def _measure(run: Run, kept: HandTrack, ours: HandTrack) -> None:
+def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None) -> None:
     """The numbers that the thesis gives."""
     moved, total, turned = _at_rest(kept)
     away = np.array([motion.name != "home" for motion in kept.motions])
@@ -95,12 +123,28 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack) -> None:
                 "poses and masses are not the thesis', which gives neither"),
         Measure("by the floating base, largest component",
                 100.0 * float(np.abs(kept.base_error.position).max()), "cm", "5"),
-        Measure("from the goal at rest, largest", 100.0 * float(total.max()), "cm", "10 (hardware)"),
-        Measure("share of the base in it", float((moved[away] / total[away]).mean()), "", "a little under ½ (hardware)",
+        Measure("from the goal at rest, largest", 100.0 * float(total.max()), "cm"),
+        Measure("share of the base in it", float((moved[away] / total[away]).mean()), "", "",
                 "near 1: the joints reach their goals, what is left is the base's"),
         Measure("orientation at rest, largest angle", float(np.rad2deg(turned.max())), "°", "converges to 0"),
         Measure("by the floating base where the CoM goes with the arm, largest at a pose",
                 100.0 * float(_at_rest(ours)[0][away].max()), "cm", "", "this system's own way"),
+    ]  # fmt: skip
+
+    if real is None:
+        return
+    moved, total, _ = _at_rest(real)
+    tracking = np.array([real.tracking_error.distance[real.settled(motion)].mean() for motion in real.motions])
+    yaw = np.array([np.abs(real.tracking_error.orientation[real.settled(motion), 2]).mean() for motion in real.motions])
+    away = np.array([motion.name != "home" for motion in real.motions])
+    run.measures += [
+        Measure("real arms: from set-points at rest, largest", 100.0 * float(tracking.max()), "cm",
+                "large and persistent (hardware)", "play and weight; no gravity compensation"),
+        Measure("real arms: from the goal at rest, largest", 100.0 * float(total.max()), "cm", "10 (hardware)"),
+        Measure("real arms: share of the base in it", float((moved[away] / total[away]).mean()), "",
+                "a little under ½ (hardware)", "distances do not add up where directions differ"),
+        Measure("real arms: yaw at rest from set-points, largest", float(np.rad2deg(yaw.max())), "°",
+                "large (hardware)", "the wrist yaw, where a pose wants it turned"),
     ]  # fmt: skip
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 MODES = ("stand_manipulate", "stand")  # commanded in turn; the last of an even number frees the arms again
 RATE = 250.0  # of the controller's state: every update [Hz]
-COMMANDS, QUICK_COMMANDS = 40, 3
+COMMANDS, QUICK_COMMANDS = 40, 2
 CHANGES, QUICK_CHANGES = 40, 2
 POINTS, INTERVAL = 3, 0.4  # of each motion; between them [s]
 SWING = 0.15  # from where the arm is, at most [rad]
@@ -74,9 +74,13 @@ def run(run: Run) -> None:
         f"{QUICK_CHANGES if run.options.quick else CHANGES} mode changes between {MODES[0]} and {MODES[1]}, all over "
         "ROS topics; latencies are computed from the bag alone. Each is from when a message was sent to when the next "
         "of the pathway was: by their stamps where they name one another, else by the shift of the largest "
-        "cross-correlation of the joints' positions, one a motion and joint. Once with a plant that is the "
-        "controller's model (ideal), once with the actuators' imperfections (hardware)."
+        "cross-correlation of the joints' positions, one a motion and joint."
     )
+    if len(profiles) > 1:
+        run.text += (
+            " Once with a plant that is the controller's model (ideal), once with the actuators' imperfections "
+            f"({profiles[-1]})."
+        )
     for profile, latencies in found.items():
         run.tables.append(_table(profile, latencies))
     for profile, latencies in found.items():
