@@ -6,14 +6,19 @@ import time
 
 import numpy as np
 
+import bifrost
 from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor_analysis.results import Measure, Table
+from valor_common.errors import ValorError
+from valor_common.messages import Statistics
+from valor_common.topics import BAG_RECORDER_STATISTICS
 from valorctl.console import bar
 from valorctl.experiments.experiment import Run
 from valorctl.supervision import Supervisor
 
 SECONDS, QUICK = 300.0, 3.0
 PERIOD = 0.5  # between two looks [s]
+PATIENCE = 10.0  # with the recorder, which speaks once a second [s]
 _VRC = "valor_ros_controller"
 
 
@@ -29,6 +34,7 @@ def run(run: Run) -> None:
                 sampler.look()
                 shown(elapsed)
                 run.interruption.check()
+        dropped = _dropped(run)
     usage = sampler.usage()
     run.text = (
         f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
@@ -54,10 +60,23 @@ def run(run: Run) -> None:
         Measure("Motion System processor, mean",
                 float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
                 "over 150", "the Comms Manager's part simulates the robot here"),
+        Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",
+                "every message of every topic, at the control rate"),
+        Measure("recorder, messages dropped", float(dropped), "", "", "of all topics, since it began"),
         Measure("whole system, mean", float(np.sum([one.cpu.mean() for one in usage.values()])), "% of one core"),
     ]  # fmt: skip
     run.files.append(write_csv(usage, run.out / "process_stats.csv"))
     run.picture([plot(usage, run.out / "process_stats.png")], "Processor and memory of every process over time.")
+
+
+def _dropped(run: Run) -> int:
+    """What the recorder has dropped by its own word."""
+    network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
+    with bifrost.Node("experiment", network=network) as node:
+        received = node.subscriber(BAG_RECORDER_STATISTICS.name, Statistics).receive(timeout=PATIENCE)
+    if received is None:
+        raise ValorError(f"bag_recorder is silent: no {BAG_RECORDER_STATISTICS.name} within {PATIENCE:g} s")
+    return received.message.drops
 
 
 def _row(name: str, one: Usage) -> list[str]:
