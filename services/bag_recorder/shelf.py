@@ -54,7 +54,9 @@ class Shelf:
         wanted = self._context.settings.bag
         if wanted is not None and wanted.suffix == SUFFIX:
             return wanted.with_stem(f"{wanted.stem}_{label}") if label else wanted
-        folder = _unused(self._folder.with_name(f"{_now()}_{label}")) if label else self._folder
+        folder = self._folder
+        if label:
+            folder = _unused(folder.with_name(f"{folder.name if folder == wanted else _now()}_{label}"))
         return folder / f"{folder.name}{SUFFIX}"
 
     def _recording_folder(self) -> Path:
