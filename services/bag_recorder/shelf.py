@@ -60,8 +60,9 @@ class Shelf:
         return folder / f"{folder.name}{SUFFIX}"
 
     def _recording_folder(self) -> Path:
+        """The named folder, also when a recorder before this one has begun it; in a folder of bags one by the time."""
         wanted = self._context.settings.bag
-        if wanted is None or wanted.is_dir():
+        if wanted is None or (wanted.is_dir() and not (wanted / f"{wanted.name}{SUFFIX}").exists()):
             return _unused((wanted or self._context.instance.bags) / _now())
         if wanted.suffix not in ("", SUFFIX):
             raise ConfigurationError(f"bag: {wanted}: expected a folder or a name that ends in {SUFFIX}")

@@ -373,6 +373,22 @@ def test_a_bag_that_exists_is_kept(instance: RunningInstance) -> None:
     assert recover(path).finished
 
 
+def test_a_named_folder_is_one_bag_whatever_happens_to_its_recorder(instance: RunningInstance) -> None:
+    folder = instance.instance.bags / "walk"
+    instance.configure(bag=folder)
+    first = recorder(instance)
+    wait_until(lambda: has(first, "/bifrost/bag_recorder/statistics", 1), 20.0, "something is in the bag", 0.3)
+    instance.kill("bag_recorder")
+    second = recorder(instance)
+    wait_until(lambda: has(second, "/bifrost/bag_recorder/statistics", 1), 20.0, "something is in the bag", 0.3)
+    assert instance.stop("bag_recorder") == 0
+    assert [first, second] == [folder / "walk.mcap", folder / "walk_1.mcap"]
+    with AnyReader([folder]) as reader:
+        counted = sum(recover(path).messages for path in (first, second))
+        assert reader.message_count == counted
+        assert len([1 for _ in reader.messages()]) == counted
+
+
 def metadata(path: Path, name: str) -> list[dict[str, str]]:
     with open(path, "rb") as file:
         return [record.metadata for record in make_reader(file).iter_metadata() if record.name == name]

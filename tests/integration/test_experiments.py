@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from tests.system import System, leftovers, shared_memory
-from valorctl.experiments.table import EXPERIMENTS
 from valorctl.verbs.experiments import INSTANCE
 
 
@@ -69,12 +68,3 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
     assert (out / "report.pdf").read_bytes().startswith(b"%PDF-")
     for name in (system.name, other.name):
         assert leftovers(home, name, before) == []
-
-
-def test_the_experiments_are_listed_and_others_refused(system: System, home: Path) -> None:
-    told = system.valorctl("experiment").stdout
-    for each in EXPERIMENTS:
-        assert each.name in told
-        assert each.reproduces in told
-    system.valorctl("experiment", "walking", expect=1)
-    system.valorctl("report", str(home / "nowhere"), expect=1)
