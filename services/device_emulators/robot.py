@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import numpy.typing as npt
 from msgspec import structs
@@ -9,11 +11,13 @@ from msgspec import structs
 from valor_common.devices.table import SeaCanFd
 from valor_common.instance import Settings
 from valor_common.messages import JointMode, Motor, Proprioceptor
-from valor_common.robot import FloatVector, RobotDescription
+from valor_common.robot import RobotDescription
 from valor_simulation.plant import Plant
 from valor_simulation.sensors import Sensors
 
 Places = npt.NDArray[np.intp]
+STALENESS = 0.012  # of the newest command to any drive, on the wall, from which on time stands still [s]
+PATIENCE = 1.0  # and until when [s]
 
 
 class SimulatedRobot:
@@ -26,7 +30,7 @@ class SimulatedRobot:
         description: robot.yaml.
         plant: MuJoCo.
         released: whether the robot has been let go of.
-        time: that has passed in the plant [s].
+        time: that has passed for the robot and in its devices' clocks [s].
     """
 
     def __init__(self, description: RobotDescription, settings: Settings) -> None:
@@ -46,6 +50,7 @@ class SimulatedRobot:
         ]
         self._carrying: Places = np.array([description.index[joint] for joint in carrying], dtype=np.intp)
         self._measured: Proprioceptor | None = None
+        self._commanded: float | None = None  # when commands came last, on the wall [s]
         self.released = not carrying
         self.time = 0.0
 
@@ -85,20 +90,16 @@ class SimulatedRobot:
         motor.stiffness[joints] = stiffness
         motor.damping[joints] = damping
         self._changed = True
+        self._commanded = time.monotonic()
 
     def hold(self, joints: Places) -> None:
         """Have the drives of joints hold them where their encoders say they are, on the joints' own servos."""
-        zero = np.zeros(len(joints))
-        position: FloatVector = self.measured.joint_position[joints]
-        self.command(
-            joints,
-            mode=JointMode.POSITION,
-            position=position,
-            velocity=zero,
-            effort=zero,
-            stiffness=zero,
-            damping=zero,
-        )
+        motor = self._motor
+        motor.mode[joints] = np.where(self._powered[joints], JointMode.POSITION, JointMode.OFF)
+        motor.position[joints] = self.measured.joint_position[joints]
+        for vector in (motor.velocity, motor.effort):
+            vector[joints] = 0.0
+        self._changed = True
 
     def advance(self, steps: int) -> None:
         """Let physics steps pass, if the robot has been let go of.
@@ -106,11 +107,20 @@ class SimulatedRobot:
         Raises:
             SimulationDivergedError: the state is not finite any more.
         """
+        self.time += steps * self.plant.step_time
         if not self.released:
             return
         if self._changed:
             self._changed = False
             self.plant.actuators.obey(self._motor)
         self.plant.step(steps)
-        self.time += steps * self.plant.step_time
         self._measured = None
+
+    @property
+    def waits(self) -> bool:
+        """Whether time should stand still: commands came, and then none for a moment that is no silence yet.
+
+        A computer that stalls is to slow the world down, not to fell the robot; one that ended leaves it to the drives'
+        watchdogs.
+        """
+        return self._commanded is not None and STALENESS < time.monotonic() - self._commanded < PATIENCE

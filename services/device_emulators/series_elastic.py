@@ -35,7 +35,7 @@ class _Controller:
         self.name = str(table.id)
         self.status = Status(0)
         self.sequence = 0
-        self.commanded = 0.0  # when a command came last [s]
+        self.commanded = 0.0  # when a command came last [s of the robot]
         self.temperature = [AMBIENT] * can_frames.AXES
         self.heated = 0.0  # when that was worked out last [s]
 
@@ -79,6 +79,7 @@ class SeriesElasticEmulator(CanEmulator):
             *axes,
             *(round(10.0 * (FEVER if hot else temperature)) for temperature in controller.temperature),
             round(100.0 * (WEAK_SUPPLY if weak else SUPPLY)),
+            round(1e6 * robot.time) & 0xFFFFFFFF,
         )
         return protect(can_frames.STATE + unit, content)
 
@@ -97,7 +98,7 @@ class SeriesElasticEmulator(CanEmulator):
         elif code == Code.ENABLE and controller.status & Status.CALIBRATED:
             if not controller.status & Status.ENABLED:
                 controller.status |= Status.ENABLED
-                controller.commanded = now
+                controller.commanded = robot.time
                 robot.power(controller.joints, True)
                 robot.hold(controller.joints)
         elif code == Code.DISABLE:
@@ -113,7 +114,7 @@ class SeriesElasticEmulator(CanEmulator):
         if command is None or not controller.status & Status.ENABLED:
             return
         controller.sequence = int(command["sequence"])
-        controller.commanded = now
+        controller.commanded = robot.time
         controller.status &= ~Status.WATCHDOG
         axes, count = command["axis"], controller.joints.size
         robot.command(
@@ -128,7 +129,7 @@ class SeriesElasticEmulator(CanEmulator):
 
     def _pass_time(self, now: float, robot: SimulatedRobot) -> None:
         for controller in self._controllers.values():
-            if now - controller.commanded <= WATCHDOG or not controller.status & Status.ENABLED:
+            if robot.time - controller.commanded <= WATCHDOG or not controller.status & Status.ENABLED:
                 continue
             if not controller.status & Status.WATCHDOG:
                 controller.status |= Status.WATCHDOG

@@ -37,6 +37,8 @@ class DeviceEmulators:
         self._push = PushServer(context.node, self._robot.plant)
         self._faults = FaultServer(context.node, self._emulators)
         self._pacer = Pacer(1.0, Wall())
+        self._started = time.monotonic_ns() - context.settings.epoch  # in robot time [ns]
+        self._waited = 0.0  # stood still, since commands were late [s]
         self._slip_told = 0.0
 
     def run(self) -> None:
@@ -54,7 +56,10 @@ class DeviceEmulators:
             while not self._context.stopping.is_set():
                 self._serve(ports, duration)
                 began = time.perf_counter()
-                robot.advance(STEPS)
+                if robot.waits:
+                    self._waited += duration
+                else:
+                    robot.advance(STEPS)
                 now = time.monotonic()
                 for emulator in self._emulators:
                     emulator.step(now, robot)
@@ -62,7 +67,9 @@ class DeviceEmulators:
                 if turns % attend_every == 0:
                     self._attend(now)
                 statistics.cycle(began)
-        _log.info("%.3f s were lost against the wall", pacer.slip)
+        _log.info(
+            "%.3f s lost against the wall, %.3f s of it waiting for commands", pacer.slip + self._waited, self._waited
+        )
 
     def _serve(self, ports: selectors.BaseSelector, duration: float) -> None:
         """Answer what comes until the next step of the plant is due."""
@@ -75,11 +82,11 @@ class DeviceEmulators:
 
     def _attend(self, now: float) -> None:
         """What is due a hundred times a second: the truth, requests, and what the wall has cost."""
-        robot_time = round(now * 1e9) - self._context.settings.epoch
+        robot_time = self._started + round(1e9 * self._robot.time)
         self._truth.publish(robot_time)
         self._push.serve(robot_time if self._robot.released else 0)
         self._faults.serve(now)
-        slip = self._pacer.slip
+        slip = self._pacer.slip + self._waited
         if slip - self._slip_told > _SLIP_TOLD:
             self._slip_told = slip
             self._statistics.state("ready", f"{slip:.1f} s lost against the wall")

@@ -10,7 +10,8 @@ goes by REQUEST and REPLY. Numbers are little-endian; every frame ends with the 
     COMMAND   0x100 + id   sequence u16, modes u8 × 2, axes × (position, velocity, effort, stiffness,
                            damping f32)                                                                     48 B (of 46)
     STATE     0x180 + id   of a motor controller: counter u8, status u8, command sequence u16, axes × (position,
-                           velocity, torque, current f32), temperature i16 × 2 [0.1 °C], voltage u16 [0.01 V]  48 B
+                           velocity, torque, current f32), temperature i16 × 2 [0.1 °C], voltage u16
+                           [0.01 V], its clock u32 [µs]                                                     48 B
                            of a sensor: counter u8, status u8, temperature i16 [0.1 °C], force f32 × 3,
                            torque f32 × 3                                                                   32 B
     REQUEST   0x200 + id   code u8, –                                                                        4 B
@@ -55,7 +56,7 @@ COMMAND_TYPE = np.dtype(
 )
 """A command's content, for whole vectors of them."""
 
-CONTROLLER_STATE = struct.Struct("<BBH8fhhH4x")
+CONTROLLER_STATE = struct.Struct("<BBH8fhhHI")
 SENSOR_STATE = struct.Struct("<BBh6f2x")
 _SYNC = struct.Struct("<Bx")
 _REQUEST = struct.Struct("<Bx")

@@ -32,6 +32,7 @@ from comms_manager.hardware.device import (
 from comms_manager.hardware.faults import DeviceWatch
 from comms_manager.hardware.force_torque import ForceTorque
 from comms_manager.hardware.kinds import make
+from comms_manager.hardware.series_elastic import SeriesElastic
 from valor_common.errors import ConfigurationError
 from valor_common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
 from valor_common.pacing import Pacer, Wall
@@ -39,6 +40,8 @@ from valor_common.robot import FloatVector
 from valor_common.service import Context
 from valor_common.topics import DEVICES
 
+SHORTEST = 0.25  # of a period: so much may lack of one
+LONGEST_WAIT = 0.1  # for the devices' clocks [s]
 NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit says otherwise [V]
 # Five threads share the interpreter: whoever waits for it is to wait less than the five milliseconds of the default.
 _SWITCH_INTERVAL = 0.0005
@@ -77,12 +80,14 @@ class Hardware(Backend):
         self._admitted = 0
         self._motor_sequence = 0
         self._held: FloatVector | None = None
-        self._sampled = time.monotonic_ns()
+        self._started = time.monotonic_ns()
+        self._time = self._started - context.settings.epoch  # robot time of the newest states [ns]
+        self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
+        self._elapsed = self._reference.elapsed if self._reference else 0
         self._position, self._velocity, self._effort = np.zeros(n), np.zeros(n), np.zeros(n)
         self._imu = ImuMeasurement(0, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
         self._wrenches = {place: np.zeros(6) for place in ("left_foot", "right_foot", "left_hand", "right_hand")}
         self._voltage = NOMINAL_VOLTAGE
-        self._request_states()
 
     def _require_all_joints(self) -> None:
         """Raise ``ConfigurationError`` unless each joint is moved by a device, and there is an IMU and foot sensors."""
@@ -120,27 +125,44 @@ class Hardware(Backend):
 
     @property
     def slip(self) -> float:
-        """By how much the schedule has moved since start [s]."""
-        return self._pacer.slip
+        """By how much less robot time than time on the wall has passed since start [s]."""
+        return max(0.0, 1e-9 * (time.monotonic_ns() - self._context.settings.epoch - self._time))
 
     def advance(self, commands: Commands) -> float:
         """Hand out the Motor that comes, wait for the end of the period, and have the devices sample."""
         began = time.perf_counter()
-        remaining = self._pacer.next(self._robot.control_period)
-        commands.listen(max(0.0, remaining))
-        self._hand_out(commands)
-        remaining = self._pacer.remaining()
-        if remaining > 0.0:
-            time.sleep(remaining)
-        self._request_states()
-        for device in self._synchronous:
-            device.gathered.wait(2.0 * GATHERING)
+        self._wait(commands, self._pacer.next(self._robot.control_period))
+        self._pass_time(commands)
         return time.perf_counter() - began
 
-    def _request_states(self) -> None:
-        for device in self._synchronous:
-            device.request_states()
-        self._sampled = time.monotonic_ns()
+    def _wait(self, commands: Commands, duration: float) -> None:
+        """Wait [s], and hand out the Motor that comes meanwhile."""
+        due = time.perf_counter() + duration
+        commands.listen(max(0.0, duration))
+        self._hand_out(commands)
+        remaining = due - time.perf_counter()
+        if remaining > 0.0:
+            time.sleep(remaining)
+
+    def _pass_time(self, commands: Commands) -> None:
+        """Have the devices sample, until by their clocks a period has passed since they were heard last.
+
+        The leg controllers' clock is the robot's, as a bus' reference clock is in distributed clocks: emulators on a
+        computer that is too slow are slow robots, not wrong ones.
+        """
+        period, began = self._robot.control_period, time.monotonic()
+        while True:
+            for device in self._synchronous:
+                device.request_states()
+            for device in self._synchronous:
+                device.gathered.wait(2.0 * GATHERING)
+            elapsed = self._reference.elapsed if self._reference else time.monotonic_ns() - self._started
+            lacking = period - 1e-9 * (elapsed - self._elapsed)
+            if lacking < SHORTEST * period or time.monotonic() - began > LONGEST_WAIT:
+                break
+            self._wait(commands, lacking)
+        self._time += elapsed - self._elapsed
+        self._elapsed = elapsed
 
     def _hand_out(self, commands: Commands) -> None:
         if commands.silent:
@@ -191,7 +213,7 @@ class Hardware(Backend):
                     self._wrenches[place] = wrench
         imu, wrenches = self._imu, self._wrenches
         return Proprioceptor(
-            time=self._sampled - self._context.settings.epoch,
+            time=self._time,
             sequence=sequence,
             motor_sequence=self._motor_sequence,
             joint_position=self._position.copy(),
@@ -210,7 +232,7 @@ class Hardware(Backend):
     def attend(self) -> None:
         """Watch the devices; report them when something changes, and every second."""
         if self._watch.update(time.monotonic_ns()):
-            self._status.publish(self._watch.report(self._sampled - self._context.settings.epoch))
+            self._status.publish(self._watch.report(self._time))
             voltages = [record.voltage for device in self._moving for record in device.records]
             if known := [voltage for voltage in voltages if not math.isnan(voltage)]:
                 self._voltage = min(known)

@@ -49,6 +49,7 @@ class CanDevice(Device):
     Attributes:
         gathered: set when the states asked for last have been handed over.
         units: by number.
+        elapsed: by the units' own clocks, since ``find`` [ns]; the wall's where none of them says.
     """
 
     def __init__(self, name: str, context: DeviceContext, bus: int, units: Mapping[int, CanUnit], length: int) -> None:
@@ -66,6 +67,10 @@ class CanDevice(Device):
         self._awaited: set[int] = set()  # of those, who is waited for
         self._replies: dict[int, Reply] = {}
         self._tended = 0.0
+        self._syncs = 0
+        self._step: int | None = None  # by the units' clocks, between the last two SYNCs [ns]
+        self._handed_over = 0  # when, monotonic [ns]
+        self.elapsed = 0
 
     # --- for the main loop ----------------------------------------------------------------------------------------
 
@@ -90,7 +95,7 @@ class CanDevice(Device):
             self._sync()
             while self._missing and time.monotonic_ns() - self._synced < 1e9 * ANSWER_TIME:
                 self._listen(ANSWER_TIME)
-            self._hand_over()
+            self._finish()
 
     def close(self) -> None:
         """Leave the bus."""
@@ -146,7 +151,7 @@ class CanDevice(Device):
                 if port in ready:
                     self._listen(0.0)
                 if not self.gathered.is_set() and not self._states_wanted and self._is_over():
-                    self._hand_over()
+                    self._finish()
                     self.gathered.set()
                 now = time.monotonic()
                 if now - self._tended > TEND_EVERY:
@@ -159,8 +164,18 @@ class CanDevice(Device):
     def _is_over(self) -> bool:
         return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
 
+    def _finish(self) -> None:
+        """Hand over what has been gathered, and let the time pass that has passed since the last time."""
+        now = time.monotonic_ns()
+        if self._handed_over:
+            self.elapsed += now - self._handed_over if self._step is None else self._step
+        self._handed_over = now
+        self._hand_over()
+
     def _sync(self) -> None:
         assert self._bus is not None
+        self._syncs += 1
+        self._step = None
         for number in self._missing:
             self.units[number].missed += 1
         self._counter = (self._counter + 1) & 0xFF

@@ -161,7 +161,7 @@ class Device(ABC):
         silent_after: without a state for so long, a unit is silent [s].
     """
 
-    silent_after: float = 0.05
+    silent_after: float = 0.1
 
     def __init__(self, name: str, context: DeviceContext) -> None:
         robot = context.robot

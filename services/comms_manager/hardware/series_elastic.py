@@ -46,6 +46,8 @@ class _Controller(CanUnit):
         self.jumps = 0  # implausible positions in a row
         self.jumped: list[int] = []  # rows whose encoder cannot be believed any more
         self.status = 0
+        self.clock = 0  # [µs], of its newest state
+        self.synced = 0  # which SYNC that answered
         self.known = True  # that this is the unit it must be; not after it had lost its power
 
 
@@ -144,6 +146,10 @@ class SeriesElastic(CanDevice):
                 encoder[row], self._velocity[row] = axes[4 * k], axes[4 * k + 1]
             self._effort[row] = axes[4 * k + 2]
             self._stamp[row] = now
+        clock, before = axes[11], unit.clock
+        if self._step is None and unit.synced == self._syncs - 1:
+            self._step = 1000 * ((int(clock) - before) & 0xFFFFFFFF)
+        unit.clock, unit.synced = int(clock), self._syncs
         if status != unit.status or unit.jumped:
             self._status_changed(unit, status)
         self._judge(unit, 0.1 * max(axes[8], axes[9]), 0.01 * axes[10], self._others(unit))
