@@ -39,6 +39,7 @@ class ServiceTopic:
 
 _COMMS, _MOTION, _VRC = "comms_manager", "motion_manager", "valor_ros_controller"
 _CONVERTER, _RECORDER, _EMULATORS = "footstep_converter", "bag_recorder", "device_emulators"
+_HDT_DRIVER, _HDT_BRIDGE = "hdt_driver", "hdt_bridge"
 
 # fmt: off
 #                                     name                                 type                publisher   rate          record, description
@@ -60,16 +61,18 @@ HDT_LEFT_ARM_COMMAND          = Topic("comms_manager/hdt/left_arm/command",  m.H
 HDT_RIGHT_ARM_COMMAND         = Topic("comms_manager/hdt/right_arm/command", m.HdtCommand,    _COMMS,    None,         0, "likewise")
 HDT_LEFT_HAND_COMMAND         = Topic("comms_manager/hdt/left_hand/command", m.HdtCommand,    _COMMS,    None,         0, "joint impedance of the hand; hardware only")
 HDT_RIGHT_HAND_COMMAND        = Topic("comms_manager/hdt/right_hand/command", m.HdtCommand,   _COMMS,    None,         0, "likewise")
-HDT_LEFT_ARM_STATE            = Topic("comms_manager/hdt/left_arm/state",  m.HdtState,        _COMMS,    None,         0, "what the arm's driver says; hardware only")
-HDT_RIGHT_ARM_STATE           = Topic("comms_manager/hdt/right_arm/state", m.HdtState,        _COMMS,    None,         0, "likewise")
-HDT_LEFT_HAND_STATE           = Topic("comms_manager/hdt/left_hand/state", m.HdtState,        _COMMS,    None,         0, "what the hand's driver says; hardware only")
-HDT_RIGHT_HAND_STATE          = Topic("comms_manager/hdt/right_hand/state", m.HdtState,       _COMMS,    None,         0, "likewise")
+HDT_LEFT_ARM_STATE            = Topic("comms_manager/hdt/left_arm/state",  m.HdtState,        _HDT_BRIDGE,    None,         0, "what the arm's driver says; hardware only")
+HDT_RIGHT_ARM_STATE           = Topic("comms_manager/hdt/right_arm/state", m.HdtState,        _HDT_BRIDGE,    None,         0, "likewise")
+HDT_LEFT_HAND_STATE           = Topic("comms_manager/hdt/left_hand/state", m.HdtState,        _HDT_BRIDGE,    None,         0, "what the hand's driver says; hardware only")
+HDT_RIGHT_HAND_STATE          = Topic("comms_manager/hdt/right_hand/state", m.HdtState,       _HDT_BRIDGE,    None,         0, "likewise")
 CONTROL_MODE                  = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,      10.0,         1, "the VRC's control mode")
 GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it")
 MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
 COMMS_MANAGER_STATISTICS      = Topic("comms_manager/statistics",          m.Statistics,       _COMMS,     1.0,          1, "how it fares")
 VALOR_ROS_CONTROLLER_STATISTICS = Topic("valor_ros_controller/statistics", m.Statistics,       _VRC,       1.0,          1, "how it fares")
 DEVICE_EMULATORS_STATISTICS   = Topic("device_emulators/statistics",       m.Statistics,       _EMULATORS, 1.0,          1, "how they fare; hardware without a robot only")
+HDT_DRIVER_STATISTICS         = Topic("hdt_driver/statistics",             m.Statistics,       _HDT_DRIVER, 1.0,         1, "how it fares: the bridge's word for the driver, from /diagnostics")
+HDT_BRIDGE_STATISTICS         = Topic("hdt_bridge/statistics",             m.Statistics,       _HDT_BRIDGE, 1.0,         1, "how it fares")
 FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Statistics,       _CONVERTER, 1.0,          1, "how it fares")
 BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
 
@@ -79,7 +82,7 @@ TOPICS: tuple[Topic, ...] = (
     HDT_LEFT_ARM_COMMAND, HDT_RIGHT_ARM_COMMAND, HDT_LEFT_HAND_COMMAND, HDT_RIGHT_HAND_COMMAND,
     HDT_LEFT_ARM_STATE, HDT_RIGHT_ARM_STATE, HDT_LEFT_HAND_STATE, HDT_RIGHT_HAND_STATE, CONTROL_MODE,
     GROUND_TRUTH, MOTION_MANAGER_STATISTICS, COMMS_MANAGER_STATISTICS, VALOR_ROS_CONTROLLER_STATISTICS,
-    DEVICE_EMULATORS_STATISTICS, FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
+    DEVICE_EMULATORS_STATISTICS, HDT_DRIVER_STATISTICS, HDT_BRIDGE_STATISTICS, FOOTSTEP_CONVERTER_STATISTICS, BAG_RECORDER_STATISTICS,
 )
 
 #                            name                            request                reply                server    description

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from device_emulators.emulator import Emulator
 from device_emulators.force_torque import ForceTorqueEmulator
+from device_emulators.hdt_modules import HdtModules
 from device_emulators.series_elastic import SeriesElasticEmulator
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
@@ -16,6 +17,7 @@ Maker = Callable[[str, Instance, Settings, RobotDescription], Emulator]
 KINDS: Mapping[str, Maker] = {
     "sea_can_fd": SeriesElasticEmulator,
     "ft_can": ForceTorqueEmulator,
+    "hdt_bifrost": HdtModules,
 }
 
 

@@ -125,6 +125,7 @@ class HdtLimb(Table):
     group: str  # of robot.yaml
     serial: str
     firmware: str
+    every: Annotated[int, Meta(ge=1)] = 1  # of the cycles, in which it is spoken to
 
 
 class HdtBifrost(Device, tag="hdt_bifrost", kw_only=True):

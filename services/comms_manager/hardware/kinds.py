@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping
 
 from comms_manager.hardware.device import Device, DeviceContext
 from comms_manager.hardware.force_torque import ForceTorque
+from comms_manager.hardware.hdt import Hdt
 from comms_manager.hardware.series_elastic import SeriesElastic
 from valor_common.errors import ConfigurationError
 
 KINDS: Mapping[str, Callable[[str, DeviceContext], Device]] = {
     "sea_can_fd": SeriesElastic,
     "ft_can": ForceTorque,
+    "hdt_bifrost": Hdt,
 }
 
 

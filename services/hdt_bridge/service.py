@@ -1,0 +1,127 @@
+"""The loop: commands of the Comms Manager to the driver, states of the driver to the Comms Manager.
+
+Nothing is kept but the newest message of each topic in each direction: on Bifrost by subscribers that hold one, on
+ROS by queues of depth 1. So nobody waits for anybody, neither side notices that the other begins anew, and what a side
+missed while it was away is not made up. What may move an arm is for those at the ends to decide.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context as RosContext
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from valor_msgs.msg import HdtCommand as RosCommand
+from valor_msgs.msg import HdtState as RosState
+
+import bifrost
+from hdt_bridge.driver_report import DRIVER, statistics
+from hdt_bridge.twin import Twin
+from valor_common.devices.table import HdtBifrost
+from valor_common.errors import ConfigurationError
+from valor_common.messages import HdtCommand, HdtState, Statistics
+from valor_common.service import Context, quiet_collector
+from valor_common.topics import STATISTICS, TOPICS
+
+LOOK_EVERY = 0.002  # at ROS, which nobody waits for [s]
+
+_NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class _Limb:
+    """The two topics of a limb, on both sides."""
+
+    def __init__(self, bifrost_node: bifrost.Node, ros_node: Any, name: str) -> None:
+        topic = f"comms_manager/hdt/{name}"
+        for each in (f"{topic}/command", f"{topic}/state"):
+            if all(row.name != each for row in TOPICS):
+                raise ConfigurationError(f"robot.yaml: devices: limb {name!r} has no Bifrost topic {each}")
+        self.commands = bifrost_node.subscriber(f"{topic}/command", HdtCommand)
+        self._states = bifrost_node.publisher(f"{topic}/state", HdtState)
+        self._ros_commands = ros_node.create_publisher(RosCommand, f"/hdt/{name}/command", _NEWEST)
+        self._ros_states = ros_node.create_subscription(RosState, f"/hdt/{name}/state", _unused, _NEWEST)
+        self._command, self._state = Twin(HdtCommand, RosCommand), Twin(HdtState, RosState)
+        self._clock = ros_node.get_clock()
+
+    def forward_command(self) -> None:
+        """To ROS, if there is a new one."""
+        received = self.commands.latest()
+        if received is not None:
+            self._ros_commands.publish(self._command.to_ros(received, self._clock.now().to_msg()))
+
+    def forward_state(self) -> bool:
+        """To Bifrost, if there is a new one; whether there was."""
+        state = _take(self._ros_states, RosState)
+        if state is not None:
+            self._states.publish(self._state.from_ros(state))
+        return state is not None
+
+
+class HdtBridge:
+    """Bifrost ↔ ROS for all limbs, and the driver's word of itself."""
+
+    def __init__(self, context: Context) -> None:
+        self._stopping = context.stopping
+        self._own = context.statistics
+        self._ros = RosContext()
+        rclpy.init(
+            context=self._ros, domain_id=context.settings.ros_domain_id, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self._node = rclpy.create_node(
+            "hdt_bridge", context=self._ros, enable_rosout=False, start_parameter_services=False
+        )
+        devices = context.robot.tables.devices.values()
+        names = [limb.group for device in devices if isinstance(device, HdtBifrost) for limb in device.limbs]
+        if not names:
+            raise ConfigurationError(f"{context.robot.folder / 'robot.yaml'}: devices: none of kind hdt_bifrost")
+        self._limbs = [_Limb(context.node, self._node, name) for name in names]
+        self._diagnostics = self._node.create_subscription(DiagnosticArray, "/diagnostics", _unused, 10)
+        self._driver = context.node.publisher(STATISTICS[DRIVER].name, Statistics)
+
+    def run(self) -> None:
+        """Forward until told to stop."""
+        quiet_collector()
+        self._own.state("ready")
+        commands = [limb.commands for limb in self._limbs]
+        look_at = 0.0
+        while not self._stopping.is_set():
+            began = time.perf_counter()
+            ready = bifrost.wait(commands, LOOK_EVERY)
+            waited = time.perf_counter() - began
+            news = bool(ready)
+            for limb in self._limbs:
+                if limb.commands in ready:
+                    limb.forward_command()
+                news = limb.forward_state() or news
+            if began >= look_at:
+                look_at = began + 0.1
+                self._tell_of_driver()
+            if news:
+                self._own.cycle(began, waited)
+            else:
+                self._own.idle()
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._node.destroy_node()
+        self._ros.try_shutdown()
+
+    def _tell_of_driver(self) -> None:
+        while (message := _take(self._diagnostics, DiagnosticArray)) is not None:
+            if (report := statistics(message)) is not None:
+                self._driver.publish(report)
+
+
+def _take(subscription: Any, message_type: type[Any]) -> Any | None:
+    handle = subscription.handle
+    with handle:
+        taken = handle.take_message(message_type, False)
+    return None if taken is None else taken[0]
+
+
+def _unused(_: Any) -> None:
+    raise AssertionError("nothing spins this node")

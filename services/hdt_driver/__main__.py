@@ -1,0 +1,7 @@
+"""``python -m hdt_driver``."""
+
+import sys
+
+from hdt_driver.service import main
+
+sys.exit(main())

@@ -1,0 +1,118 @@
+"""The driver's ROS node: commands in, states and diagnostics out. Nothing spins: a look at each topic in every cycle.
+
+========================= ============================== ===================================================
+``/hdt/<limb>/command``   ``valor_msgs/HdtCommand``      best effort; the newest counts
+``/hdt/<limb>/state``     ``valor_msgs/HdtState``        best effort; at the driver's rate
+``/diagnostics``          ``diagnostic_msgs``            once a second: the driver itself and each limb
+========================= ============================== ===================================================
+"""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.context import Context
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from valor_msgs.msg import HdtCommand, HdtState
+
+from hdt_driver.limb import Command, Limb
+from valor_common.devices.hdt_bus import Setpoints
+
+NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class DriverNode:
+    """Node ``hdt_driver``."""
+
+    def __init__(self, domain_id: int, limbs: Iterable[Limb]) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(
+            "hdt_driver", context=self._context, enable_rosout=False, start_parameter_services=False
+        )
+        self._clock = self._node.get_clock()
+        self._commands = {
+            limb.name: self._node.create_subscription(HdtCommand, f"/hdt/{limb.name}/command", _unused, NEWEST)
+            for limb in limbs
+        }
+        self._states = {
+            name: (self._node.create_publisher(HdtState, f"/hdt/{name}/state", NEWEST), HdtState())
+            for name in self._commands
+        }
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def command(self, limb: str) -> Command | None:
+        """The newest command of a limb that was not returned before."""
+        handle = self._commands[limb].handle
+        with handle:
+            taken = handle.take_message(HdtCommand, False)
+        if taken is None:
+            return None
+        message = taken[0]
+        return Command(
+            message.sequence,
+            Setpoints(
+                np.frombuffer(message.mode, dtype=np.uint8) if len(message.mode) else np.zeros(0, np.uint8),
+                *(_vector(getattr(message, name)) for name in _NUMBERS),
+            ),
+        )
+
+    def publish(self, limb: Limb, sequence: int) -> None:
+        """A limb's state, as far as it is known."""
+        publisher, message = self._states[limb.name]
+        stamp = self._clock.now()
+        message.header.stamp = stamp.to_msg()
+        message.header.frame_id = limb.name
+        message.time = stamp.nanoseconds
+        message.sequence = sequence
+        message.command_sequence = limb.obeyed
+        message.position = _array(limb.position)
+        message.velocity = _array(limb.velocity)
+        message.effort = _array(limb.effort)
+        message.temperature = _array(limb.temperature)
+        message.voltage = limb.voltage
+        message.fault = array.array("B", limb.fault.tobytes())
+        publisher.publish(message)
+
+    def diagnose(self, rows: Iterable[tuple[str, str, bool, str, Mapping[str, object]]]) -> None:
+        """Publish rows of (name, hardware id, whether all is well, message, values)."""
+        message = DiagnosticArray()
+        message.header.stamp = self._clock.now().to_msg()
+        message.status = [
+            DiagnosticStatus(
+                level=DiagnosticStatus.OK if well else DiagnosticStatus.ERROR,
+                name=name,
+                hardware_id=hardware,
+                message=text,
+                values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+            )
+            for name, hardware, well, text, values in rows
+        ]
+        self._diagnostics.publish(message)
+
+
+_NUMBERS = ("position", "velocity", "effort", "stiffness", "damping")
+
+
+def _unused(_: Any) -> None:
+    raise AssertionError("nothing spins this node")
+
+
+def _vector(values: array.array[float]) -> npt.NDArray[np.float64]:
+    return np.frombuffer(values, dtype=np.float64) if len(values) else np.zeros(0)
+
+
+def _array(values: npt.NDArray[np.float64]) -> array.array[float]:
+    return array.array("d", values.tobytes())

@@ -1,0 +1,249 @@
+"""Frames on the HDT modules' CAN FD bus, between the vendor's driver and the modules. The layout is assumed.
+
+Up to four neighboring modules share a *segment*: a gateway on the bus with a number of its own. Limbs take their
+segments' numbers one limb after another. One command and one state frame a segment and cycle, little-endian::
+
+    0x080 + segment  command   sequence u16, flags u16
+                               4 × (position i32 [µrad], velocity i16 [mrad/s], effort i16 [0.01 N·m],
+                                    stiffness u16 [0.1 N·m/rad], damping u16 [0.01 N·m·s/rad], mode u8, 0 u8)
+    0x100 + segment  state     command sequence u16, state sequence u16, voltage u16 [10 mV], 0 u16
+                               4 × (position i32 [µrad], velocity i16 [mrad/s], effort i16 [0.01 N·m],
+                                    temperature i8 [°C], fault u8)
+    0x180 + segment  inquiry   empty
+    0x200 + segment  identity  serial number, NUL, firmware, NUL; ASCII
+
+A command without ``SETPOINTS`` in its flags only asks for a state. ``command sequence`` is that of the newest frame
+with set-points that the segment obeys. Without set-points for ``WATCHDOG`` modules keep to the last, at rest; those
+that were told nothing yet since they were switched on hold where they are, by their own servo.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntFlag
+
+import can
+import numpy as np
+import numpy.typing as npt
+
+JOINTS = 4  # of a segment, at most
+COMMAND, STATE, INQUIRY, IDENTITY = 0x080, 0x100, 0x180, 0x200  # first identifiers of each kind
+SEGMENTS = 64  # on a bus, at most
+SETPOINTS = 1  # flag of a command
+WATCHDOG = 0.25  # [s]
+
+FloatVector = npt.NDArray[np.float64]
+_KIND, _SEGMENT = 0x7C0, 0x03F
+_COMMAND_HEADER, _STATE_HEADER = struct.Struct("<HH"), struct.Struct("<HHHH")
+_SETPOINT = np.dtype(
+    [
+        ("position", "<i4"),
+        ("velocity", "<i2"),
+        ("effort", "<i2"),
+        ("stiffness", "<u2"),
+        ("damping", "<u2"),
+        ("mode", "u1"),
+        ("reserved", "u1"),
+    ]
+)
+_MEASURED = np.dtype(
+    [("position", "<i4"), ("velocity", "<i2"), ("effort", "<i2"), ("temperature", "i1"), ("fault", "u1")]
+)
+_COMMAND_SIZE, _STATE_SIZE = 64, 48  # lengths that CAN FD has, from 60 and 48 bytes
+_UNITS = {"position": 1e-6, "velocity": 1e-3, "effort": 0.01, "stiffness": 0.1, "damping": 0.01}
+_VOLT = 0.01
+
+
+class Fault(IntFlag):
+    """What a module says is wrong with it (``HdtState.fault``); NO_ANSWER is what its driver says of it."""
+
+    OVER_TEMPERATURE = 1
+    UNDER_VOLTAGE = 2
+    ENCODER = 4
+    NO_ANSWER = 8
+
+
+class FrameError(ValueError):
+    """A frame that is not what its identifier says."""
+
+
+def segments(joints: int) -> list[slice]:
+    """Which of a limb's joints each of its segments has."""
+    return [slice(first, min(first + JOINTS, joints)) for first in range(0, joints, JOINTS)]
+
+
+def kind_and_segment(identifier: int) -> tuple[int, int]:
+    """What a frame is, and the segment that it is of or for."""
+    return identifier & _KIND, identifier & _SEGMENT
+
+
+@dataclass(frozen=True)
+class Setpoints:
+    """What the joints of a segment shall do; (k,) each.
+
+    Attributes:
+        mode: off, position, impedance, force: 0 to 3, as in ``HdtCommand``.
+        position: [rad].
+        velocity: [rad/s].
+        effort: [N·m].
+        stiffness: [N·m/rad].
+        damping: [N·m·s/rad].
+    """
+
+    mode: npt.NDArray[np.uint8]
+    position: FloatVector
+    velocity: FloatVector
+    effort: FloatVector
+    stiffness: FloatVector
+    damping: FloatVector
+
+    def of(self, part: slice) -> Setpoints:
+        """Those of some of the joints."""
+        return Setpoints(
+            self.mode[part],
+            self.position[part],
+            self.velocity[part],
+            self.effort[part],
+            self.stiffness[part],
+            self.damping[part],
+        )
+
+
+@dataclass(frozen=True)
+class SegmentState:
+    """What a segment answers; (k,) each.
+
+    Attributes:
+        command_sequence: of the newest frame with set-points that it obeys; 0: none yet.
+        sequence: its own count of states.
+        voltage: of its supply [V].
+        position: [rad].
+        velocity: [rad/s].
+        effort: [N·m].
+        temperature: [°C].
+        fault: ``Fault`` bits.
+    """
+
+    command_sequence: int
+    sequence: int
+    voltage: float
+    position: FloatVector
+    velocity: FloatVector
+    effort: FloatVector
+    temperature: FloatVector
+    fault: npt.NDArray[np.uint8]
+
+
+def command(segment: int, sequence: int, setpoints: Setpoints | None) -> can.Message:
+    """A command frame; numbers beyond what it can carry are brought to the nearest that it can.
+
+    Args:
+        segment: whom it is for.
+        sequence: of the command, 1 to 65535.
+        setpoints: None: nothing but a state is asked for.
+    """
+    data = bytearray(_COMMAND_SIZE)
+    _COMMAND_HEADER.pack_into(data, 0, sequence, SETPOINTS if setpoints else 0)
+    if setpoints is not None:
+        fields = np.frombuffer(data, _SETPOINT, setpoints.mode.size, _COMMAND_HEADER.size)
+        fields["mode"] = setpoints.mode
+        for name in _UNITS:
+            _write(fields, name, getattr(setpoints, name))
+    return _frame(COMMAND + segment, data)
+
+
+def parse_command(frame: can.Message, joints: int) -> tuple[int, Setpoints | None]:
+    """Sequence and set-points of a command frame, if it carries any.
+
+    Raises:
+        FrameError: it is too short.
+    """
+    _require(frame, _COMMAND_SIZE)
+    sequence, flags = _COMMAND_HEADER.unpack_from(frame.data)
+    if not flags & SETPOINTS:
+        return sequence, None
+    fields = np.frombuffer(frame.data, _SETPOINT, joints, _COMMAND_HEADER.size)
+    return sequence, Setpoints(
+        mode=fields["mode"].copy(), **{name: fields[name] * unit for name, unit in _UNITS.items()}
+    )
+
+
+def state(segment: int, measured: SegmentState) -> can.Message:
+    """A state frame."""
+    data = bytearray(_STATE_SIZE)
+    volts = min(0xFFFF, max(0, round(measured.voltage / _VOLT)))
+    _STATE_HEADER.pack_into(data, 0, measured.command_sequence, measured.sequence, volts, 0)
+    fields = np.frombuffer(data, _MEASURED, measured.position.size, _STATE_HEADER.size)
+    for name in ("position", "velocity", "effort"):
+        _write(fields, name, getattr(measured, name))
+    fields["temperature"] = np.clip(measured.temperature, -128, 127)
+    fields["fault"] = measured.fault
+    return _frame(STATE + segment, data)
+
+
+def parse_state(frame: can.Message, joints: int) -> SegmentState:
+    """What a state frame says.
+
+    Raises:
+        FrameError: it is too short.
+    """
+    _require(frame, _STATE_SIZE)
+    command_sequence, sequence, volts, _ = _STATE_HEADER.unpack_from(frame.data)
+    fields = np.frombuffer(frame.data, _MEASURED, joints, _STATE_HEADER.size)
+    return SegmentState(
+        command_sequence,
+        sequence,
+        volts * _VOLT,
+        position=fields["position"] * _UNITS["position"],
+        velocity=fields["velocity"] * _UNITS["velocity"],
+        effort=fields["effort"] * _UNITS["effort"],
+        temperature=fields["temperature"].astype(np.float64),
+        fault=fields["fault"].copy(),
+    )
+
+
+def inquiry(segment: int) -> can.Message:
+    """Who are you?"""
+    return _frame(INQUIRY + segment, bytearray())
+
+
+def identity(segment: int, serial: str, firmware: str) -> can.Message:
+    """The answer; 64 bytes at most."""
+    data = f"{serial}\0{firmware}\0".encode("ascii")
+    return _frame(IDENTITY + segment, bytearray(data.ljust(64, b"\0")))
+
+
+def parse_identity(frame: can.Message) -> tuple[str, str]:
+    """Serial number and firmware.
+
+    Raises:
+        FrameError: it is neither.
+    """
+    try:
+        serial, firmware, *_ = bytes(frame.data).decode("ascii").split("\0")
+    except ValueError:
+        raise FrameError(f"identity of segment {frame.arbitration_id & _SEGMENT}: not two texts") from None
+    return serial, firmware
+
+
+def filters(*kinds: int) -> list[can.typechecking.CanFilter]:
+    """For one end of the bus, which hears what it says itself: the kinds of frames that it listens to."""
+    return [{"can_id": kind, "can_mask": _KIND, "extended": False} for kind in kinds]
+
+
+def _frame(identifier: int, data: bytearray) -> can.Message:
+    return can.Message(
+        arbitration_id=identifier, data=data, is_extended_id=False, is_fd=True, bitrate_switch=True, check=False
+    )
+
+
+def _require(frame: can.Message, size: int) -> None:
+    if len(frame.data) < size:
+        raise FrameError(f"frame {frame.arbitration_id:#05x}: {len(frame.data)} bytes, expected {size}")
+
+
+def _write(fields: npt.NDArray[np.void], name: str, values: FloatVector) -> None:
+    """Scale, round and clamp values into a field."""
+    limits = np.iinfo(fields.dtype[name])
+    fields[name] = np.clip(np.rint(values / _UNITS[name]), limits.min, limits.max)
