@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 from valor_common.errors import ValorError
@@ -17,9 +17,13 @@ from valorctl.health import Health, Listener, judge
 from valorctl.interruption import Interruption
 from valorctl.supervision import ProcessInfo, ProcessState, Supervisor
 
-# For each wave of processes [s]. One that ends is noticed at once; this is for those that hang on a busy computer.
+# Without another process getting ready [s]. One that ends is noticed at once; this is for those that hang on a busy
+# computer.
 READY_TIMEOUT = 120.0
 _TAIL_LINES = 12
+PREPARING = "stand_prep"  # the mode that the robot comes up in, until it is in its posture
+PREPARATION_TIMEOUT = 30.0  # [s]
+RETRY_PERIOD = 0.5  # [s]
 
 
 class StartError(ValorError):
@@ -69,58 +73,61 @@ def _bring_up(
     environment = supervisor_config.environment(instance, sys.executable, os.environ)
     supervisor = supervision.launch(instance, processes, environment, interruption.check)
     with Listener(instance, [process.name for process in processes]) as listener:
-        for wave in waves(processes):
-            _start_wave(instance, supervisor, listener, wave, progress=progress, interruption=interruption)
+        _start(instance, supervisor, listener, processes, progress=progress, interruption=interruption)
     if plan.initial_mode is not None:
         _enter_initial_mode(instance, plan.initial_mode, progress, interruption)
     return settings
 
 
-def waves(processes: Sequence[Process]) -> list[list[Process]]:
-    """Groups to be started one after the other: a process stands in the first group after all that it waits for."""
-    names = {process.name for process in processes}
-    waiting, started, groups = list(processes), set[str](), list[list[Process]]()
-    while waiting:
-        group = [p for p in waiting if started.issuperset(p.needs) and started.issuperset(names.intersection(p.after))]
-        if not group:
-            raise ValueError(f"processes need each other: {', '.join(process.name for process in waiting)}")
-        groups.append(group)
-        started.update(process.name for process in group)
-        waiting = [process for process in waiting if process not in group]
-    return groups
+def free(processes: Iterable[Process], ready: Collection[str], present: Collection[str]) -> list[Process]:
+    """Those that may start: what they need is ready, and of what they only wait for, what is present at all."""
+    return [
+        process
+        for process in processes
+        if all(name in ready for name in process.needs)
+        and all(name in ready for name in process.after if name in present)
+    ]
 
 
-def _start_wave(
+def _start(
     instance: Instance,
     supervisor: Supervisor,
     listener: Listener,
-    wave: Iterable[Process],
+    processes: Sequence[Process],
     *,
     progress: Progress,
     interruption: Interruption,
 ) -> None:
-    """Start processes side by side, and wait until each is ready."""  # fmt: skip
-    began = time.monotonic()
-    names = [process.name for process in wave]
-    for name in names:
-        supervisor.start(name)
-    waiting = list(names)
+    """Start processes, each as soon as it may, and wait until all are ready."""  # fmt: skip
+    began = changed = time.monotonic()
+    names = [process.name for process in processes]
+    ready = set(supervisor.processes()) - set(names)  # those that run already
+    present = ready.union(names)
+    waiting, started = list(names), list[str]()
     pids: dict[str, int] = {}
     while waiting:
         interruption.check()
+        for process in free(processes, ready, present):
+            if process.name not in started:
+                supervisor.start(process.name)
+                started.append(process.name)
+        if not set(waiting).intersection(started):
+            raise ValueError(f"processes wait for each other: {', '.join(waiting)}")
         listener.listen(0.05)
         now = time.monotonic()
         infos = supervisor.processes()
-        health = {name: judge(infos[name], listener.words.get(name), now) for name in waiting}
-        for name in names:
+        health = {name: judge(infos[name], listener.words.get(name), now) for name in started}
+        for name in started:
             _require_first_run(instance, infos[name], pids)
-        for name in list(waiting):
-            if health[name].state == "ready":
-                waiting.remove(name)
-                progress.done(f"{name} ready ({now - began:.1f} s)")
-        if now - began > READY_TIMEOUT:
-            raise _not_ready(instance, [health[name] for name in waiting])
-        progress.waiting(f"{int(now - began)} s, waiting for " + ", ".join(_describe(health[n]) for n in waiting))
+        for name in [name for name in waiting if name in started and health[name].state == "ready"]:
+            waiting.remove(name)
+            ready.add(name)
+            changed = now
+            progress.done(f"{name} ready ({now - began:.1f} s)")
+        late = [health[name] for name in waiting if name in started]
+        if now - changed > READY_TIMEOUT:
+            raise _not_ready(instance, late)
+        progress.waiting(f"{int(now - began)} s, waiting for " + ", ".join(_describe(each) for each in late))
 
 
 def _describe(health: Health) -> str:
@@ -164,6 +171,11 @@ def _enter_initial_mode(instance: Instance, mode: str, progress: Progress, inter
     began = time.monotonic()
     progress.waiting(f"waiting for control mode {mode}")
     change = control_mode.change(instance, mode, check=interruption.check)
+    while not change.reached and change.current == PREPARING and time.monotonic() - began < PREPARATION_TIMEOUT:
+        progress.waiting(f"waiting for control mode {mode}: {change.reason}")
+        interruption.check()
+        time.sleep(RETRY_PERIOD)
+        change = control_mode.change(instance, mode, check=interruption.check)
     if not change.reached:
         raise StartError(f"valor_ros_controller: {change.describe()}{log_tail(instance, 'valor_ros_controller')}")
     progress.done(f"control mode {mode} ({time.monotonic() - began:.1f} s)")
@@ -185,6 +197,6 @@ def restart(instance: Instance, name: str, progress: Progress, interruption: Int
         progress.waiting(f"stopping {name}")
         supervisor.stop([name], BY_NAME[name].stop_timeout + shutdown.MARGIN)
         with Listener(instance, [name]) as listener:
-            _start_wave(instance, supervisor, listener, [BY_NAME[name]], progress=progress, interruption=interruption)
+            _start(instance, supervisor, listener, [BY_NAME[name]], progress=progress, interruption=interruption)
         after = supervisor.processes()[name].pid
     progress.done(f"{name} restarted: pid {before or '–'} → {after}")

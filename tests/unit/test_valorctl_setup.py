@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import shlex
 import socket
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import REPOSITORY
 from valor_common import resources
 from valor_common.errors import ConfigurationError, ValorError
 from valor_common.instance import Instance, Settings
@@ -20,7 +22,7 @@ from valor_common.service import EXIT_CONFIGURATION
 from valorctl import instance_setup, supervisor_config
 from valorctl.instance_setup import DOMAINS, Request, choose_domain, discovery_port, domain_is_free, domains_taken
 from valorctl.profile import Profile
-from valorctl.startup import waves
+from valorctl.startup import free
 
 
 def rendered() -> configparser.RawConfigParser:
@@ -67,24 +69,33 @@ def process(name: str, *needs: str) -> Process:
     return Process(name, name, "", needs, False, 1.0, 1.0)
 
 
-def test_processes_start_after_what_they_need() -> None:
-    groups = waves([process("c", "b"), process("a"), process("b", "a"), process("d", "a")])
-    assert [[p.name for p in group] for group in groups] == [["a"], ["b", "d"], ["c"]]
-    with pytest.raises(ValueError, match="a, b"):
-        waves([process("a", "b"), process("b", "a")])
+def names(processes: Iterable[Process]) -> list[str]:
+    return [each.name for each in processes]
 
 
-def test_a_process_starts_after_those_that_it_only_waits_for_where_the_profile_has_them() -> None:
+def test_processes_start_as_soon_as_what_they_need_is_ready() -> None:
+    table = [process("c", "b"), process("a"), process("b", "a"), process("d", "a")]
+    present = names(table)
+    assert names(free(table, [], present)) == ["a"]
+    assert names(free(table, ["a"], present)) == ["a", "b", "d"]
+    assert names(free(table, ["a", "b"], present)) == present
+
+
+def test_a_process_waits_for_others_where_the_profile_has_them() -> None:
     late = Process("late", "late", "", (), False, 1.0, 1.0, after=("early",))
-    assert [[p.name for p in group] for group in waves([late, process("early")])] == [["early"], ["late"]]
-    assert [[p.name for p in group] for group in waves([late])] == [["late"]]
+    assert names(free([late], [], ["late", "early"])) == []
+    assert names(free([late], ["early"], ["late", "early"])) == ["late"]
+    assert names(free([late], [], ["late"])) == ["late"]
 
 
-def test_the_simulation_starts_in_two_waves() -> None:
-    table = Profile.load(resources.profile_file("sim")).table
-    first, second = waves(table)
-    assert [p.name for p in first] == ["bifrostd"]
-    assert {p.name for p in second} == {p.name for p in table} - {"bifrostd"}
+@pytest.mark.parametrize("profile", sorted(file.stem for file in (REPOSITORY / "deploy").glob("*.yaml")))
+def test_every_process_of_a_profile_starts_some_time(profile: str) -> None:
+    table = Profile.load(resources.profile_file(profile)).table
+    present, ready = names(table), list[str]()
+    while len(ready) < len(table):
+        able = names(free(table, ready, present))
+        assert set(able) > set(ready), f"{set(present) - set(ready)} wait for each other"
+        ready = able
 
 
 @given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))

@@ -41,7 +41,7 @@ from valor_common.service import Context
 from valor_common.topics import DEVICES
 
 SHORTEST = 0.25  # of a period: so much may lack of one
-LONGEST_WAIT = 0.1  # for the devices' clocks [s]
+LONGEST_WAIT = 1.0  # for the leg controllers' clocks [s]
 NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit says otherwise [V]
 # Five threads share the interpreter: whoever waits for it is to wait less than the five milliseconds of the default.
 _SWITCH_INTERVAL = 0.0005
@@ -80,8 +80,9 @@ class Hardware(Backend):
         self._admitted = 0
         self._motor_sequence = 0
         self._held: FloatVector | None = None
-        self._started = time.monotonic_ns()
-        self._time = self._started - context.settings.epoch  # robot time of the newest states [ns]
+        self._passed = time.monotonic_ns()  # when the newest states were taken
+        self._time = self._passed - context.settings.epoch  # robot time of them [ns]
+        self._lost = False  # the leg controllers' clock is: time passes by the wall
         self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
         self._elapsed = self._reference.elapsed if self._reference else 0
         self._position, self._velocity, self._effort = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -150,19 +151,29 @@ class Hardware(Backend):
         The leg controllers' clock is the robot's, as a bus' reference clock is in distributed clocks: emulators on a
         computer that is too slow are slow robots, not wrong ones.
         """
-        period, began = self._robot.control_period, time.monotonic()
+        period, reference, began = self._robot.control_period, self._reference, time.monotonic()
         while True:
             for device in self._synchronous:
                 device.request_states()
             for device in self._synchronous:
                 device.gathered.wait(2.0 * GATHERING)
-            elapsed = self._reference.elapsed if self._reference else time.monotonic_ns() - self._started
-            lacking = period - 1e-9 * (elapsed - self._elapsed)
-            if lacking < SHORTEST * period or time.monotonic() - began > LONGEST_WAIT:
+            if reference is None:
+                break
+            elapsed = reference.elapsed - self._elapsed
+            lacking = period - 1e-9 * elapsed
+            if lacking < SHORTEST * period:
+                self._lost = False
+                break
+            # A bus on which nobody speaks is waited for: its controllers' watchdogs hold the joints meanwhile.
+            if self._lost or time.monotonic() - began > LONGEST_WAIT:
+                self._lost = True
                 break
             self._wait(commands, lacking)
-        self._time += elapsed - self._elapsed
-        self._elapsed = elapsed
+        now = time.monotonic_ns()
+        self._time += now - self._passed if reference is None or self._lost else elapsed
+        self._passed = now
+        if reference is not None:
+            self._elapsed = reference.elapsed
 
     def _hand_out(self, commands: Commands) -> None:
         if commands.silent:
@@ -231,7 +242,7 @@ class Hardware(Backend):
 
     def attend(self) -> None:
         """Watch the devices; report them when something changes, and every second."""
-        if self._watch.update(time.monotonic_ns()):
+        if self._watch.update(self._time):
             self._status.publish(self._watch.report(self._time))
             voltages = [record.voltage for device in self._moving for record in device.records]
             if known := [voltage for voltage in voltages if not math.isnan(voltage)]:

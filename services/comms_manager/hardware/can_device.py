@@ -49,7 +49,7 @@ class CanDevice(Device):
     Attributes:
         gathered: set when the states asked for last have been handed over.
         units: by number.
-        elapsed: by the units' own clocks, since ``find`` [ns]; the wall's where none of them says.
+        elapsed: by the units' own clocks, since ``find``, as far as they answered [ns].
     """
 
     def __init__(self, name: str, context: DeviceContext, bus: int, units: Mapping[int, CanUnit], length: int) -> None:
@@ -69,7 +69,6 @@ class CanDevice(Device):
         self._tended = 0.0
         self._syncs = 0
         self._step: int | None = None  # by the units' clocks, between the last two SYNCs [ns]
-        self._handed_over = 0  # when, monotonic [ns]
         self.elapsed = 0
 
     # --- for the main loop ----------------------------------------------------------------------------------------
@@ -165,11 +164,8 @@ class CanDevice(Device):
         return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
 
     def _finish(self) -> None:
-        """Hand over what has been gathered, and let the time pass that has passed since the last time."""
-        now = time.monotonic_ns()
-        if self._handed_over:
-            self.elapsed += now - self._handed_over if self._step is None else self._step
-        self._handed_over = now
+        """Hand over what has been gathered, and let the time pass that has passed by the units' clocks."""
+        self.elapsed += self._step or 0
         self._hand_over()
 
     def _sync(self) -> None:

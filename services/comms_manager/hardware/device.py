@@ -15,9 +15,8 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import time
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from threading import Event
 
@@ -236,17 +235,18 @@ class UnitRates:
     record: UnitRecord
     rate: float = math.nan  # [Hz]
     latency: float = math.nan  # [s]
-    _since: float = field(default_factory=time.monotonic)
+    _since: float = math.nan
     _states: int = 0
     _latency_sum: float = 0.0
     _latency_count: int = 0
 
     def update(self, now: float) -> None:
-        """Take rate and latency since the last call, if that is at least ``RATE_WINDOW`` ago."""
+        """Take rate and latency since the last call, if that is at least ``RATE_WINDOW`` of robot time ago [s]."""
         record, elapsed = self.record, now - self._since
         if elapsed < RATE_WINDOW:
             return
-        self.rate = (record.states - self._states) / elapsed
+        if not math.isnan(elapsed):
+            self.rate = (record.states - self._states) / elapsed
         answers = record.latency_count - self._latency_count
         self.latency = (record.latency_sum - self._latency_sum) / answers if answers else math.nan
         self._since, self._states = now, record.states

@@ -83,6 +83,14 @@ class _Unit:
         self.rates = UnitRates(self.record)
         self.silent_after = round(1e9 * device.silent_after)
         self.silent = self.slow = False
+        self._states = 0
+        self._heard: int | None = None  # robot time at which the newest state was there [ns]
+
+    def is_silent(self, now: int) -> bool:
+        """Whether no state has come for too long, at robot time ``now`` [ns]."""
+        if self._heard is None or self.record.states != self._states:
+            self._states, self._heard = self.record.states, now
+        return now - self._heard > self.silent_after
 
 
 class DeviceWatch:
@@ -103,16 +111,16 @@ class DeviceWatch:
         self.reaction = Reaction.KEEP_BALANCE
 
     def update(self, now: int) -> bool:
-        """Look at all devices at monotonic ``now`` [ns]; returns whether a report is due."""
+        """Look at all devices at robot time ``now`` [ns]; returns whether a report is due."""
         changed = False
         for unit in self._units:
-            silent = now - unit.record.stamp > unit.silent_after
+            silent = unit.is_silent(now)
             if silent is not unit.silent:
                 unit.silent, changed = silent, True
         seconds = 1e-9 * now
         if seconds >= self._rates_due:
             self._rates_due = seconds + RATE_WINDOW
-            changed |= self._look_at_rates()
+            changed |= self._look_at_rates(seconds)
         ailments = tuple(device.ailments for device in self._devices)
         if any(a is not b for a, b in zip(ailments, self._seen, strict=False)) or not self._seen:
             self._seen, changed = ailments, True
@@ -123,9 +131,8 @@ class DeviceWatch:
             return True
         return False
 
-    def _look_at_rates(self) -> bool:
+    def _look_at_rates(self, now: float) -> bool:
         changed = False
-        now = time.monotonic()
         for unit in self._units:
             unit.rates.update(now)
             slow = not unit.silent and unit.rates.rate < HALF_RATE * unit.device.rate
@@ -180,8 +187,6 @@ class DeviceWatch:
         for trouble in self.troubles:
             faults.setdefault(trouble.unit, []).append(trouble)
         units = self._units
-        for unit in units:
-            unit.rates.update(now)
         return DeviceStatus(
             time=robot_time,
             units=[unit.name for unit in units],

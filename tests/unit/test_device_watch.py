@@ -1,0 +1,188 @@
+"""What the robot does about devices' faults: the table, who is named, and when it is over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Event
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from comms_manager.hardware.can_device import _level
+from comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
+from comms_manager.hardware.faults import REACTIONS, DeviceWatch, Reaction
+from motion_manager.behavior_fsm import BehaviorFsm
+from motion_manager.behaviors import BEHAVIOR_TRANSITIONS, Behavior
+from motion_manager.device_reactions import DEMANDS, DeviceReactions
+from valor_common.instance import Instance, Settings
+from valor_common.messages import DeviceStatus
+from valor_common.robot import RobotDescription
+
+ROBOTS = Path(__file__).resolve().parents[2] / "robots"
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+PERIOD = 4_000_000  # [ns]
+
+
+class Units(Device):
+    """A device of robot.yaml whose units say what a test has them say."""
+
+    def __init__(self, name: str, units: tuple[str, ...]) -> None:
+        settings = Settings(robot=ROBOT.folder, ros_domain_id=1)
+        super().__init__(name, DeviceContext(Instance("x", Path()), settings, ROBOT))
+        self.records = tuple(UnitRecord(unit) for unit in units)
+
+    def find(self) -> None:
+        raise NotImplementedError
+
+    def run(self, stopping: Event) -> None:
+        raise NotImplementedError
+
+
+class Bench:
+    """A watch over legs of three units, which all speak every period unless they are among the mute."""
+
+    def __init__(self) -> None:
+        self.legs = Units("legs", ("1", "2", "3"))
+        self.legs.rate = 250.0
+        self.watch = DeviceWatch([self.legs])
+        self.now = 10_000_000_000
+
+    def run(self, seconds: float, mute: tuple[str, ...] = (), every: int = 1) -> int:
+        """Let time pass; ``every``: so many periods, the first unit speaks. Returns how often a report was due."""
+        reports = 0
+        for k in range(round(seconds * 1e9) // PERIOD):
+            self.now += PERIOD
+            for record in self.legs.records:
+                if record.unit not in mute and (record.unit != "1" or k % every == 0):
+                    record.received(self.now)
+            reports += self.watch.update(self.now)
+        return reports
+
+
+def test_every_fault_of_every_part_has_a_reaction() -> None:
+    assert set(REACTIONS) == set(Fault)
+    for row in REACTIONS.values():
+        assert set(row) == set(Part)
+    for fault, row in REACTIONS.items():
+        # What a hand feels never stops the robot, and legs are never less grave than anything else.
+        assert row[Part.HAND] is Reaction.KEEP_BALANCE
+        assert row[Part.LEGS] is max(row.values()), fault
+
+
+def test_a_unit_is_silent_after_its_time_and_no_longer_when_it_speaks() -> None:
+    bench = Bench()
+    bench.run(1.0)
+    assert bench.watch.reaction is Reaction.KEEP_BALANCE
+    bench.run(bench.legs.silent_after - 0.01, mute=("2",))
+    assert not bench.watch.troubles
+    bench.run(0.02, mute=("2",))
+    (trouble,) = bench.watch.troubles
+    assert (trouble.unit, trouble.fault, trouble.reaction) == ("legs/2", Fault.SILENT, Reaction.HOLD)
+    report = bench.watch.report(bench.now)
+    assert (report.reaction, report.states) == ("hold", ["ok", "silent", "ok"])
+    assert report.reason.startswith("legs/2: no sound state")
+    bench.run(0.02)
+    assert not bench.watch.troubles
+    assert bench.watch.report(bench.now).reason == ""
+
+
+def test_a_slow_unit_brings_the_robot_to_rest() -> None:
+    bench = Bench()
+    bench.run(3.5)
+    assert bench.watch.reaction is Reaction.KEEP_BALANCE
+    bench.run(3.5, every=10)
+    (trouble,) = bench.watch.troubles
+    assert (trouble.unit, trouble.fault, trouble.reaction) == ("legs/1", Fault.SLOW, Reaction.SOFT_STOP)
+
+
+def test_reports_come_every_second_and_on_change() -> None:
+    bench = Bench()
+    bench.run(2.0)
+    assert bench.run(4.0) == 4
+    bench.legs.tell([Ailment("3", Fault.WARM, "90 °C")])
+    assert bench.run(0.004) == 1
+    assert bench.watch.reason == "legs/3: 90 °C"
+    assert bench.watch.reaction is Reaction.SOFT_STOP
+
+
+def test_legs_without_power_go_limp_only_when_several_are() -> None:
+    bench = Bench()
+    bench.run(0.1)
+    bench.legs.tell([Ailment("1", Fault.DISABLED, "off")])
+    bench.run(0.01)
+    assert bench.watch.reaction is Reaction.HOLD
+    bench.legs.tell([Ailment("1", Fault.DISABLED, "off"), Ailment("2", Fault.DISABLED, "off")])
+    bench.run(0.01)
+    assert bench.watch.reaction is Reaction.LIMP
+
+
+@given(st.lists(st.tuples(st.sampled_from(["1", "2", "3"]), st.sampled_from(list(Fault))), max_size=6))
+def test_the_gravest_fault_decides(ailments: list[tuple[str, Fault]]) -> None:
+    bench = Bench()
+    bench.run(0.01)
+    bench.legs.tell([Ailment(unit, fault, "x") for unit, fault in ailments])
+    bench.run(0.004)
+    gravest = max((REACTIONS[fault][Part.LEGS] for _, fault in ailments), default=Reaction.KEEP_BALANCE)
+    assert bench.watch.reaction >= gravest
+    assert bool(bench.watch.reason) is bool(ailments)
+
+
+@given(st.lists(st.floats(0.0, 120.0, allow_nan=False), min_size=1, max_size=30))
+def test_a_level_is_left_only_well_below_its_limit(temperatures: list[float]) -> None:
+    level = 0
+    for temperature in temperatures:
+        before, level = level, _level(temperature, (75.0, 95.0), level, 3.0)
+        plain = (temperature >= 75.0) + (temperature >= 95.0)
+        assert level >= plain
+        if level > plain:
+            assert level == before and temperature > (75.0, 95.0)[level - 1] - 3.0
+
+
+def status(reaction: str) -> DeviceStatus:
+    numbers = [0.0]
+    return DeviceStatus(0, ["legs/1"], ["silent"], ["x"], *([numbers] * 6), reaction, "legs/1: x")  # type: ignore[arg-type]
+
+
+def arrive(fsm: BehaviorFsm, target: Behavior) -> None:
+    """By the shortest way of the tables."""
+    ways: list[list[Behavior]] = [[Behavior.IDLE]]
+    while ways[0][-1] is not target:
+        way = ways.pop(0)
+        ways += [[*way, following] for following in BEHAVIOR_TRANSITIONS[way[-1]] if following not in way]
+    for behavior in ways[0][1:]:
+        fsm.go(behavior, "test")
+
+
+@pytest.mark.parametrize("start", [behavior for behavior in Behavior if behavior is not Behavior.GET_UP])
+@pytest.mark.parametrize("reaction", DEMANDS)
+def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, reaction: str) -> None:
+    fsm = BehaviorFsm({})
+    arrive(fsm, start)
+    stepping = [True]
+    reactions = DeviceReactions(fsm, lambda: stepping[0])
+    reactions.hear(status(reaction))
+    reactions.update()
+    if reaction == "keep_balance":
+        assert fsm.behavior is start
+        return
+    walking = start in (Behavior.WALK, Behavior.WALK_MANIPULATE, Behavior.STEP, Behavior.STEP_MANIPULATE)
+    if walking and reaction != "limp":
+        assert fsm.behavior is Behavior.SOFT_STOP, "what has begun comes to rest first"
+    stepping[0] = False
+    for _ in range(5):
+        reactions.update()
+    balancing = {"soft_stop": Behavior.SOFT_STOP, "hold": Behavior.FREEZE, "limp": Behavior.FALL}[reaction]
+    expected = {
+        Behavior.IDLE: Behavior.IDLE,
+        Behavior.FALL: Behavior.FALL,
+        Behavior.FREEZE: Behavior.FREEZE,
+        Behavior.STAND_PREP: Behavior.STAND_PREP if reaction == "soft_stop" else Behavior.FREEZE,
+        Behavior.SOFT_STOP: balancing,
+    }.get(start, balancing)
+    assert fsm.behavior is expected
+    if fsm.behavior is not start:
+        assert fsm.reason == "legs/1: x"
+    reactions.hear(status("keep_balance"))
+    reactions.update()
+    assert fsm.behavior is expected, "it never leads back by itself"
