@@ -24,6 +24,7 @@ from footstep_converter.plan import ODOM
 NAMESPACE = "/robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic
 FEEDBACK = f"{NAMESPACE}/execute_feedback"
+WORDS = 50  # of feedback kept for watchers: five seconds, in which a lost one is sent again before it is overwritten
 
 Report = Callable[[ExecuteStepPlan.Feedback], None]
 
@@ -136,7 +137,7 @@ class Clients:
         self._stop = stop
         self._maker = FeedbackMaker()
         self._goals: dict[bytes, ActionGoal] = {}
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        latched = QoSProfile(depth=WORDS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._feedback = node.create_publisher(ExecuteStepPlan.Feedback, FEEDBACK, latched)
         node.create_subscription(StepPlan, EXECUTE, self._published, 10)
         # Every goal is accepted and then refused with a result: ROS has no words for a rejected goal.

@@ -58,12 +58,16 @@ class Goal:
     handle: Any = None
     feedback: list[Any] = field(default_factory=list)
     result: Any = None
-    text: str = ""  # the last words, once the outcome is known
 
     @property
     def executing(self) -> int:
         """Index of the step under way; -1: none yet."""
         return int(self.feedback[-1].currently_executing_step_index) if self.feedback else -1
+
+    @property
+    def outcome(self) -> tuple[int, int]:
+        """Terminal state and flags, once it has ended."""
+        return self.result.status, int(self.result.result.status.status)
 
     @property
     def active(self) -> list[Any]:
@@ -228,19 +232,17 @@ class Walker:
     def outcome(self, goal: Goal) -> tuple[int, int]:
         """Terminal state and flags."""
         self.wait(lambda: goal.result, "the goal's result")
-        return self.ended(goal)
+        return goal.outcome
 
-    def ended(self, goal: Goal) -> tuple[int, int]:
-        """Terminal state and flags of a goal whose result may take its time, by the wall."""
-        wait_until(lambda: goal.result, LIMIT, "the goal's result")
-        flags = int(goal.result.result.status.status)
+    def text(self, goal: Goal) -> str:
+        """The last words about a goal that has ended."""
+        _, flags = goal.outcome
 
         def last_words() -> Any:
             heard = [*goal.feedback, *self._words]
             return next((words for words in reversed(heard) if words.stepping_status == flags), None)
 
-        goal.text = wait_until(last_words, LIMIT, "the last words").status.error_msg
-        return goal.result.status, flags
+        return str(wait_until(last_words, LIMIT, "the last words").status.error_msg)
 
 
 def put(steps: Sequence[PlanStep], frame: Pose) -> Planned:
