@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from device_emulators.dynamixel import DynamixelEmulator
 from device_emulators.emulator import Emulator
 from device_emulators.force_torque import ForceTorqueEmulator
 from device_emulators.hdt_modules import HdtModules
+from device_emulators.microstrain import MicroStrainEmulator
 from device_emulators.series_elastic import SeriesElasticEmulator
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
@@ -18,6 +20,8 @@ KINDS: Mapping[str, Maker] = {
     "sea_can_fd": SeriesElasticEmulator,
     "ft_can": ForceTorqueEmulator,
     "hdt_bifrost": HdtModules,
+    "microstrain_mip": MicroStrainEmulator,
+    "dynamixel_2": DynamixelEmulator,
 }
 
 

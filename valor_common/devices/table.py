@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from valor_common.devices.dynamixel import MODELS
 from valor_common.table import NonNegative, Positive, Table
 
 CanId = Annotated[int, Meta(ge=1, le=63)]
@@ -96,11 +97,15 @@ class DynamixelServo(Table, kw_only=True):
 
     id: Annotated[int, Meta(ge=0, le=252)]
     joint: str
-    model: Annotated[int, Meta(ge=0, le=0xFFFF)]  # number
+    model: str  # one of ``valor_common.devices.dynamixel.MODELS``
     firmware: Annotated[int, Meta(ge=0, le=0xFF)]
-    zero: int = 2048  # position at which the joint is at 0 [ticks]
-    ticks: Annotated[int, Meta(gt=0)] = 4096  # of a turn
+    zero: int  # position at which the joint is at 0 [steps]
     direction: Literal[1, -1] = 1
+    spin: float | None = None  # turns for ever at this speed, whatever is commanded; absent: obeys [rad/s]
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise ValueError(f"servos: model: {self.model}: expected one of {', '.join(MODELS)}")
 
 
 class Dynamixel(Device, tag="dynamixel_2", kw_only=True):

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from comms_manager.hardware.device import Device, DeviceContext
+from comms_manager.hardware.dynamixel import DynamixelServos
 from comms_manager.hardware.force_torque import ForceTorque
 from comms_manager.hardware.hdt import Hdt
+from comms_manager.hardware.microstrain import MicroStrain
 from comms_manager.hardware.series_elastic import SeriesElastic
 from valor_common.errors import ConfigurationError
 
@@ -14,6 +16,8 @@ KINDS: Mapping[str, Callable[[str, DeviceContext], Device]] = {
     "sea_can_fd": SeriesElastic,
     "ft_can": ForceTorque,
     "hdt_bifrost": Hdt,
+    "microstrain_mip": MicroStrain,
+    "dynamixel_2": DynamixelServos,
 }
 
 

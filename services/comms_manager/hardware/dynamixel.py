@@ -1,0 +1,459 @@
+"""Dynamixel servos on one serial bus: pan and tilt of the head, the lidar that spins, arms.
+
+In each cycle of the device's rate all servos are read at once and all set-points are written at once. Servos hold
+positions by themselves: of a Motor's modes they know off and position; whatever else is asked for holds a position too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import time
+from threading import Event
+
+import numpy as np
+import serial
+
+from comms_manager.hardware.device import (
+    Ailment,
+    Device,
+    DeviceContext,
+    DeviceError,
+    Fault,
+    IntVector,
+    JointCommands,
+    JointMeasurement,
+    UnitRecord,
+)
+from comms_manager.hardware.device_clock import DeviceClock
+from comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, StatusReader, number_of
+from valor_common.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
+from valor_common.devices.ports import serial_port
+from valor_common.devices.table import Dynamixel, DynamixelServo
+from valor_common.messages import JointMode
+from valor_common.robot import RobotDescription
+
+LATEST = 0.02  # an answer that was held up longer is not used [s]
+TICKS = 32768  # of a servo's clock, in milliseconds, until it begins anew
+LEAP_SPEED, LEAP_MARGIN = 1.2, 0.05  # a position moves by at most so many times the velocity limit, and so far [rad]
+LONGEST_PAUSE = 0.06  # between answers, that such a movement is reckoned with [s]
+DOUBTS_TO_FAULT = 3  # answers after a leap, after which it is the encoder
+ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
+SEEK_PERIOD = 0.5  # between attempts to find a servo or a port that is gone [s]
+COOL = 10  # below its limit, at which a servo that was too hot is used again [K]
+WARM = 10  # below its limit, from which on a servo is warm [K]
+LOW_VOLTAGE = 0.875  # of the nominal one
+_log = logging.getLogger("comms_manager")
+
+
+class _Servo:
+    """A servo as its device knows it."""
+
+    def __init__(self, table: DynamixelServo, device: str, row: int, robot: RobotDescription) -> None:
+        self.table = table
+        self.model = MODELS[table.model]
+        self.row = row
+        self.name = f"{device}/{table.joint}"
+        self.record = UnitRecord(table.joint)
+        self.clock = DeviceClock()
+        self.tick: int | None = None
+        self.ticks = 0  # since the first answer [ms]
+        self.velocity_limit = float(robot.velocity_limit[robot.index[table.joint]])
+        self.goal: float | None = None  # sent last [rad]
+        self.torque = False  # it is switched on
+        self.missed = 0  # cycles in a row
+        self.present = True  # it is read in every cycle
+        self.raw = math.nan  # what its encoder says, believed or not [rad]
+        self.heard = 0  # when it said so, monotonic [ns]
+        self.doubts = 0  # answers since its encoder leapt
+        self.jumped = False  # for good
+        self.ailments: tuple[Ailment, ...] = ()
+
+    @property
+    def registers(self) -> ControlTable:
+        """Where its numbers stand."""
+        return self.model.table
+
+    def steps(self, angle: float) -> int:
+        """The servo's position for a joint's [rad]."""
+        return self.table.zero + self.table.direction * round(angle / self.model.position_unit)
+
+    def angle(self, steps: int) -> float:
+        """The joint's position for a servo's [rad]; that of one that spins stays within a turn."""
+        angle = self.table.direction * (steps - self.table.zero) * self.model.position_unit
+        return math.remainder(angle, 2.0 * math.pi) if self.table.spin is not None else angle
+
+    def goals(self) -> tuple[int, int]:
+        """Steps that it takes as set-points."""
+        return (0, self.model.turn - 1)
+
+
+class DynamixelServos(Device):
+    """All servos on one port."""
+
+    def __init__(self, name: str, context: DeviceContext) -> None:
+        super().__init__(name, context)
+        robot, table = context.robot, context.robot.tables.devices[name]
+        assert isinstance(table, Dynamixel)
+        self._path = serial_port(context.instance, context.settings, name)
+        self._baud_rate = table.baud_rate
+        self._servos = [_Servo(each, name, row, robot) for row, each in enumerate(table.servos)]
+        self._by_id = {servo.table.id: servo for servo in self._servos}
+        self.records = tuple(servo.record for servo in self._servos)
+        self.rate = table.rate
+        self.silent_after = max(0.05, 6.0 / table.rate)
+        self._period = 1.0 / table.rate
+        self._port: DynamixelPort | None = None
+        self._readers: dict[ControlTable, StatusReader] = {}
+        self._corrupt = 0
+        self._enabled = False
+        self._gone: tuple[Ailment, ...] = ()
+        m = len(self._servos)
+        self._stamp: IntVector = np.zeros(m, dtype=np.int64)
+        self._position, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
+
+    # --- start and end ------------------------------------------------------------------------------------------------
+
+    def find(self) -> None:
+        """Check every servo's model, firmware, state and place; none moves."""
+        self._open()
+        assert self._port is not None
+        for servo in self._servos:
+            try:
+                self._identify(servo)
+                self._prepare(servo)
+                self._check_place(servo)
+            except DynamixelError as error:
+                raise DeviceError(f"{servo.name}: {error}; expected a {servo.table.model}") from None
+        self._group()
+        deadline = time.monotonic() + 2.0
+        while not all(record.states for record in self.records):
+            if time.monotonic() > deadline:
+                mute = next(servo for servo in self._servos if not servo.record.states)
+                raise DeviceError(f"{mute.name}: it says who it is, but does not answer when all are read")
+            self._read()
+
+    def enable(self) -> None:
+        """Switch the motors on, servo after servo, where they are; those that spin begin to."""
+        for servo in self._servos:
+            try:
+                self._switch_on(servo)
+            except DynamixelError as error:
+                raise DeviceError(f"{servo.name}: {error}; expected its motor to be on") from None
+        self._enabled = True
+
+    def close(self) -> None:
+        """Stop what spins, and close the port; the others hold where they are, so that no head or arm falls."""
+        if self._port is not None:
+            with contextlib.suppress(DynamixelError, serial.SerialException, OSError):  # who is gone cannot be stopped
+                for servo in self._servos:
+                    if servo.table.spin is not None and servo.present:
+                        self._port.write(servo.table.id, servo.registers.goal_velocity, 0)
+            self._port.close()
+            self._port = None
+        super().close()
+
+    def _open(self) -> None:
+        try:
+            self._port = DynamixelPort(str(self._path), self._baud_rate)
+        except (serial.SerialException, OSError, DynamixelError) as error:
+            raise DeviceError(
+                f"{self.name}: {self._path} cannot be opened: {error}; expected {len(self._servos)} servos there"
+            ) from None
+
+    def _group(self) -> None:
+        """Readers for the servos that are there, one a control table."""
+        assert self._port is not None
+        by_table: dict[ControlTable, list[int]] = {}
+        for servo in self._servos:
+            if servo.present:
+                by_table.setdefault(servo.registers, []).append(servo.table.id)
+        self._corrupt = 0
+        self._readers = {
+            registers: self._port.reader(registers.feedback, servos) for registers, servos in by_table.items()
+        }
+
+    def _identify(self, servo: _Servo) -> None:
+        assert self._port is not None
+        number, firmware = self._port.ping(servo.table.id)
+        if number != servo.model.number:
+            known = next((name for name, model in MODELS.items() if model.number == number), f"number {number}")
+            raise DeviceError(f"{servo.name}: model {known}; expected {servo.table.model} (robot.yaml)")
+        if firmware != servo.table.firmware:
+            raise DeviceError(f"{servo.name}: firmware {firmware}; expected {servo.table.firmware} (robot.yaml)")
+
+    def _prepare(self, servo: _Servo) -> None:
+        """See that nothing is wrong with a servo, and that it is in the mode that it is used in."""
+        assert self._port is not None
+        number, registers = servo.table.id, servo.registers
+        if wrong := HardwareError(self._port.read(number, registers.hardware_error)):
+            raise DeviceError(f"{servo.name}: {_named(wrong)}; expected no hardware error")
+        mode = OperatingMode.POSITION if servo.table.spin is None else OperatingMode.VELOCITY
+        servo.torque = bool(self._port.read(number, registers.torque_enable))
+        if self._port.read(number, registers.operating_mode) != mode:
+            self._port.write(number, registers.torque_enable, 0)
+            self._port.write(number, registers.operating_mode, mode)
+            servo.torque = False
+
+    def _check_place(self, servo: _Servo) -> None:
+        """A servo that has not been switched on since it got power is in the calibration pose."""
+        assert self._port is not None
+        calibration, joint = self.context.robot.tables.calibration, servo.table.joint
+        position = servo.angle(self._port.read(servo.table.id, servo.registers.present_position))
+        pose = self.context.robot.tables.nominal_posture | calibration.pose
+        expected = pose.get(joint, 0.0)
+        if servo.table.spin is None and not servo.torque and abs(position - expected) > calibration.tolerance:
+            raise DeviceError(
+                f"{servo.name}: at {position:.3f} rad; expected {expected:.3f} ± {calibration.tolerance:g} in the "
+                f"calibration pose (robot.yaml: zero {servo.table.zero})"
+            )
+
+    def _switch_on(self, servo: _Servo) -> None:
+        assert self._port is not None
+        number, registers = servo.table.id, servo.registers
+        self._port.write(number, registers.torque_enable, 1)
+        if servo.table.spin is not None:
+            speed = round(servo.table.direction * servo.table.spin / servo.model.velocity_unit)
+            self._port.write(number, registers.goal_velocity, speed)
+        servo.goal = None
+        servo.torque = True
+
+    # --- the thread ---------------------------------------------------------------------------------------------------
+
+    def run(self, stopping: Event) -> None:
+        """Read and write in every cycle until told to stop; look for what is gone."""
+        due = sought = time.monotonic()
+        while not stopping.wait(max(0.0, due - time.monotonic())):
+            now = time.monotonic()
+            due = max(due + self._period, now)
+            try:
+                if self._port is None:
+                    if now - sought > SEEK_PERIOD:
+                        sought = now
+                        self._find_port()
+                    continue
+                self._read()
+                self._write()
+                if now - sought > SEEK_PERIOD:
+                    sought = now
+                    self._tend()
+            except (serial.SerialException, OSError):
+                self._lose_port()
+            except (DynamixelError, DeviceError) as error:
+                _log.debug("%s: %s", self.name, error)  # who did not answer is missed by its states
+            finally:
+                self.tell([*self._gone, *(ailment for servo in self._servos for ailment in servo.ailments)])
+
+    def _read(self) -> None:
+        """Ask all servos for their states and take in what they answer."""
+        for registers, reader in self._readers.items():
+            asked = time.monotonic()
+            answers = reader.read()
+            came = time.monotonic_ns()
+            for number in tuple(reader.data_dict):
+                servo = self._by_id[number]
+                answer = answers.get(number)
+                if answer is None:
+                    self._miss(servo, reader)
+                elif self._take(servo, answer, registers, came):
+                    servo.missed = 0
+                    servo.record.received(came)
+                    servo.record.answered(1e-9 * came - asked)
+                else:
+                    servo.record.errors += 1
+            self._blame(reader)
+        self.measured = JointMeasurement(
+            self._stamp.copy(), self._position.copy(), self._velocity.copy(), self._effort.copy()
+        )
+
+    def _blame(self, reader: StatusReader) -> None:
+        """Frames that could not be read are those of whoever is missing."""
+        if reader.corrupt:
+            missing = [self._by_id[number] for number in reader.data_dict if self._by_id[number].missed]
+            for servo in missing or self._servos[:1]:
+                servo.record.errors += 1
+            reader.corrupt = 0
+
+    def _miss(self, servo: _Servo, reader: StatusReader) -> None:
+        """Nobody waits for ever: the others' states would be late."""
+        servo.missed += 1
+        if servo.missed >= ABSENT_AFTER:
+            servo.present = False
+            reader.removeParam(servo.table.id)
+
+    def _take(self, servo: _Servo, answer: Answer, registers: ControlTable, came: int) -> bool:
+        """Take in an answer; returns whether it can be believed."""
+        block, start = answer.data, registers.feedback.address
+
+        def number(item: Item) -> int:
+            return number_of(block, item, start)
+
+        if not self._is_timely(servo, number(registers.realtime_tick), 1e-9 * came):
+            return False
+        model, direction, row = servo.model, servo.table.direction, servo.row
+        position = servo.angle(number(registers.present_position))
+        if not self._is_plausible(servo, position, came):
+            return False
+        if not servo.jumped:
+            self._position[row] = position
+            self._velocity[row] = direction * number(registers.present_velocity) * model.velocity_unit
+        current = number(registers.present_current) * model.current_unit
+        self._effort[row] = direction * current * model.torque_constant
+        self._stamp[row] = came
+        servo.record.temperature = float(number(registers.present_temperature))
+        servo.record.voltage = 0.1 * number(registers.present_voltage)
+        self._judge(servo, answer)
+        return True
+
+    @staticmethod
+    def _is_timely(servo: _Servo, tick: int, came: float) -> bool:
+        """Whether an answer is newer than the last, and not held up; servos number nothing, but tell their time."""
+        if servo.tick is not None:
+            step = (tick - servo.tick) % TICKS
+            if step > TICKS // 2:
+                return False
+            servo.ticks += step
+        servo.tick = tick
+        late = servo.clock.lateness(1e-3 * servo.ticks, came)
+        return late is not None and late < LATEST
+
+    @staticmethod
+    def _is_plausible(servo: _Servo, position: float, came: int) -> bool:
+        """Whether a joint can have come there since the last answer.
+
+        After a leap nothing is believed until it leaps back; a few answers later it is the encoder.
+        """
+        before, servo.raw = servo.raw, position
+        elapsed, servo.heard = 1e-9 * (came - servo.heard), came
+        if servo.table.spin is not None or math.isnan(before):
+            return True
+        reach = LEAP_SPEED * servo.velocity_limit * min(LONGEST_PAUSE, elapsed) + LEAP_MARGIN
+        if abs(position - before) > reach:
+            servo.doubts = 0 if servo.doubts else 1
+        elif servo.doubts:
+            servo.doubts += 1
+        servo.jumped |= servo.doubts >= DOUBTS_TO_FAULT
+        return servo.jumped or not servo.doubts
+
+    def _judge(self, servo: _Servo, answer: Answer) -> None:
+        """Write down what ails a servo."""
+        unit, model, record = servo.record.unit, servo.model, servo.record
+        ailments = []
+        if servo.jumped:
+            ailments.append(Ailment(unit, Fault.ENCODER, "its encoder jumped; to be calibrated, then restarted"))
+        if record.temperature >= model.temperature_limit:
+            limit = f"expected less than {model.temperature_limit} °C"
+            ailments.append(Ailment(unit, Fault.HOT, f"{record.temperature:.0f} °C; {limit}"))
+        elif record.temperature >= model.temperature_limit - WARM:
+            limit = f"expected less than {model.temperature_limit - WARM} °C"
+            ailments.append(Ailment(unit, Fault.WARM, f"{record.temperature:.0f} °C; {limit}"))
+        if record.voltage < LOW_VOLTAGE * model.voltage:
+            limit = f"expected more than {LOW_VOLTAGE * model.voltage:g} V"
+            ailments.append(Ailment(unit, Fault.LOW_VOLTAGE, f"{record.voltage:.1f} V; {limit}"))
+        if answer.alert and not ailments:
+            ailments.append(Ailment(unit, Fault.FAULTY, "it reports a hardware error"))
+        if answer.alert:
+            servo.torque = False  # until its table says that it is on
+        if self._enabled and not servo.torque:
+            ailments.append(Ailment(unit, Fault.DISABLED, "its motor is off"))
+        if [(each.fault, each.unit) for each in ailments] != [(each.fault, each.unit) for each in servo.ailments]:
+            servo.ailments = tuple(ailments)
+
+    def _write(self) -> None:
+        """Send the newest set-points to all servos that obey."""
+        assert self._port is not None
+        command = self.command
+        if command is None or not self._enabled:
+            return
+        goals: dict[Item, dict[int, int]] = {}
+        for servo in self._servos:
+            if not servo.present or not servo.torque or servo.table.spin is not None:
+                continue
+            if command.mode[servo.row] == JointMode.OFF:
+                self._switch_off(servo)
+                continue
+            steps = servo.steps(self._next_goal(servo, command))
+            lowest, highest = servo.goals()
+            goals.setdefault(servo.registers.goal_position, {})[servo.table.id] = min(max(steps, lowest), highest)
+        for item, values in goals.items():
+            self._port.write_all(item, values)
+
+    def _next_goal(self, servo: _Servo, command: JointCommands) -> float:
+        """The set-point, approached at the joint's velocity limit; where its encoder is, once that has jumped [rad]."""
+        if servo.jumped:
+            return servo.raw
+        wanted = float(command.position[servo.row])
+        last = float(self._position[servo.row]) if servo.goal is None else servo.goal
+        reach = servo.velocity_limit * self._period
+        servo.goal = min(max(wanted, last - reach), last + reach)
+        return servo.goal
+
+    def _switch_off(self, servo: _Servo) -> None:
+        assert self._port is not None
+        self._port.write(servo.table.id, servo.registers.torque_enable, 0)
+        servo.torque = False
+        servo.ailments = ()
+
+    def _tend(self) -> None:
+        """Look for servos that are gone; switch on again what went off by itself, once it is well and wanted."""
+        for servo in self._servos:
+            try:
+                if not servo.present:
+                    self._welcome(servo)
+                if self._enabled and not servo.torque and not servo.jumped and self._is_wanted(servo):
+                    self._revive(servo)
+            except (DynamixelError, DeviceError) as error:
+                _log.debug("%s: %s", servo.name, error)  # it is missed by its states
+
+    def _welcome(self, servo: _Servo) -> None:
+        """Take a servo back that had been gone, if it is the same one."""
+        assert self._port is not None
+        self._identify(servo)
+        servo.torque = bool(self._port.read(servo.table.id, servo.registers.torque_enable))
+        servo.present, servo.missed = True, 0
+        self._forget(servo)
+        self._group()
+
+    @staticmethod
+    def _forget(servo: _Servo) -> None:
+        """Its clock may have begun anew, and its joint may have been moved."""
+        servo.tick = None
+        servo.clock.reset()
+        servo.raw = math.nan
+        servo.doubts = 0
+
+    def _is_wanted(self, servo: _Servo) -> bool:
+        command = self.command
+        return command is not None and command.mode[servo.row] != JointMode.OFF
+
+    def _revive(self, servo: _Servo) -> None:
+        """Switch a servo on; one that had been too hot is started anew when it has cooled down."""
+        assert self._port is not None
+        if servo.record.temperature > servo.model.temperature_limit - COOL:
+            return
+        if self._port.read(servo.table.id, servo.registers.hardware_error):
+            self._port.reboot(servo.table.id)
+            self._forget(servo)
+        self._prepare(servo)
+        self._switch_on(servo)
+
+    def _lose_port(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+        self._gone = tuple(
+            Ailment(servo.record.unit, Fault.UNPLUGGED, f"{self._path} is gone") for servo in self._servos
+        )
+
+    def _find_port(self) -> None:
+        """Open the port again; the servos behind it are looked for one by one."""
+        self._open()
+        for servo in self._servos:
+            servo.present = False
+        self._readers = {}
+        self._gone = ()
+
+
+def _named(errors: HardwareError) -> str:
+    return " and ".join(str(each.name).lower().replace("_", " ") for each in errors) + " error"

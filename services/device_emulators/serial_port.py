@@ -1,0 +1,129 @@
+"""The device's end of a serial line: a pseudo-terminal that can be unplugged, and what goes wrong with bytes on it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import select
+import tty
+from collections import deque
+from pathlib import Path
+
+from device_emulators.emulator import EmulatedFault, FaultSwitches
+
+LATENESS = 0.03  # of late answers [s]
+SLOWNESS = 10  # a slow unit's packets get through one in so many
+_READ = 4096
+
+
+class SerialPort:
+    """A pseudo-terminal whose other end is found by a symbolic link, as a USB adapter is under /dev/serial/by-id.
+
+    Attributes:
+        link: the path that a driver opens.
+        lost: bytes that nobody fetched in time.
+    """
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.lost = 0
+        self._device: int | None = None
+        self._driver_end: int | None = None
+        # Readable when the port is; it stays the same while ports come and go.
+        self._readable = select.epoll()
+        self.plug()
+
+    def fileno(self) -> int:
+        """A descriptor that is readable when something has come, plugged or not."""
+        return self._readable.fileno()
+
+    @property
+    def plugged(self) -> bool:
+        """Whether a driver can find the port."""
+        return self._device is not None
+
+    def plug(self) -> None:
+        """Make the port and its link, unless they are there."""
+        if self._device is not None:
+            return
+        # The driver's end stays open here too: a driver that closes it does not hang the line up.
+        self._device, self._driver_end = os.openpty()
+        tty.setraw(self._driver_end)
+        os.set_blocking(self._device, False)
+        self._readable.register(self._device, select.EPOLLIN)
+        self.link.parent.mkdir(parents=True, exist_ok=True)
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(self._driver_end))
+
+    def unplug(self) -> None:
+        """Take the port away; whoever has it open sees the line hung up."""
+        if self._device is None or self._driver_end is None:
+            return
+        self.link.unlink(missing_ok=True)
+        self._readable.unregister(self._device)
+        os.close(self._device)
+        os.close(self._driver_end)
+        self._device = self._driver_end = None
+
+    def read(self) -> bytes:
+        """What has come from the driver; does not wait."""
+        if self._device is None:
+            return b""
+        try:
+            return os.read(self._device, _READ)
+        except (BlockingIOError, OSError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send to the driver; what does not fit into the line's buffer is lost, as on a wire."""
+        if self._device is None:
+            return
+        sent = 0
+        with contextlib.suppress(BlockingIOError, OSError):
+            sent = os.write(self._device, data)
+        self.lost += len(data) - sent
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.unplug()
+        self._readable.close()
+
+
+class FaultyLine:
+    """Sends packets over a port as soundly or as badly as the faults of the unit that they come from will have it."""
+
+    def __init__(self, port: SerialPort, faults: FaultSwitches) -> None:
+        self._port = port
+        self._faults = faults
+        self._random = random.Random(0)
+        self._late: deque[tuple[float, bytes]] = deque()
+        self._slow_count = 0
+
+    def send(self, unit: str, packet: bytes, now: float) -> None:
+        """Send a unit's packet at ``now`` [s]."""
+
+        def active(fault: EmulatedFault) -> bool:
+            return self._faults.active(unit, fault, now)
+
+        if active(EmulatedFault.SILENT):
+            return
+        if active(EmulatedFault.SLOW):
+            self._slow_count += 1
+            if self._slow_count % SLOWNESS:
+                return
+        if active(EmulatedFault.GARBAGE):
+            packet = self._random.randbytes(len(packet))
+        elif active(EmulatedFault.BAD_CHECKSUM):
+            packet = packet[:-1] + bytes((packet[-1] ^ 0x5A,))
+        if active(EmulatedFault.DUPLICATE):
+            packet += packet
+        if active(EmulatedFault.LATE):
+            self._late.append((now + LATENESS, packet))
+        else:
+            self._port.write(packet)
+
+    def flush(self, now: float) -> None:
+        """Send what is due at ``now`` [s]."""
+        while self._late and self._late[0][0] <= now:
+            self._port.write(self._late.popleft()[1])

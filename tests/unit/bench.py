@@ -1,0 +1,96 @@
+"""One device on a test bench: its driver with a thread, its emulator in a simulated robot, and a port between."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from comms_manager.hardware import kinds as drivers
+from comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault
+from device_emulators import kinds as emulators
+from device_emulators.emulator import EmulatedFault, Emulator
+from device_emulators.robot import SimulatedRobot
+from tests.conftest import wait_until
+from valor_common.instance import Instance, Settings
+from valor_common.robot import RobotDescription
+
+
+class Bench:
+    """The emulator's side runs as long as the bench; the driver's side is the test's to start."""
+
+    def __init__(self, robot: RobotDescription, device: str, home: Path) -> None:
+        self.instance = Instance("bench", home)
+        self.instance.ports.mkdir(parents=True)
+        self.settings = Settings(robot=robot.folder, ros_domain_id=1, variant="hardware", actuators="ideal")
+        self.description = robot
+        self.device = device
+        self.robot = SimulatedRobot(robot, self.settings)
+        self.emulator: Emulator = emulators.make(device, self.instance, self.settings, robot)
+        self.lock = threading.Lock()  # around the robot and the emulator
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while not self._stop.wait(0.001):
+            with self.lock:
+                self.robot.advance(1)
+                self.emulator.step(time.monotonic(), self.robot)
+
+    def inject(self, unit: str, fault: EmulatedFault) -> None:
+        """Let a unit fail until ``heal``."""
+        with self.lock:
+            self.emulator.faults.inject(unit, fault)
+
+    def heal(self) -> None:
+        """End all faults."""
+        with self.lock:
+            self.emulator.faults.clear()
+
+    def driver(self, robot: RobotDescription | None = None) -> Device:
+        """A driver that has found nothing yet; it may expect another robot."""
+        return drivers.make(self.device, DeviceContext(self.instance, self.settings, robot or self.description))
+
+    @contextmanager
+    def running(self) -> Iterator[Device]:
+        """A driver with its thread."""
+        driver, stopping = self.driver(), threading.Event()
+        driver.find()
+        driver.enable()
+        thread = threading.Thread(target=driver.run, args=(stopping,))
+        thread.start()
+        try:
+            yield driver
+        finally:
+            stopping.set()
+            driver.wake()
+            thread.join(1.0)
+            driver.close()
+            assert not thread.is_alive()
+
+    def close(self) -> None:
+        """End the emulator's side."""
+        self._stop.set()
+        self._thread.join()
+        self.emulator.close()
+
+
+def ailing(driver: Device, unit: str, fault: Fault) -> Ailment:
+    """The fault that a unit is told to have, within some seconds."""
+
+    def told() -> Ailment | None:
+        return next((each for each in driver.ailments if (each.unit, each.fault) == (unit, fault)), None)
+
+    ailment = wait_until(told, 10, f"{driver.name}/{unit} {fault}")
+    assert ailment is not None
+    return ailment
+
+
+def sound(driver: Device, row: int = 0, states: int = 5) -> None:
+    """Nothing ails the device any more, and states come."""
+    wait_until(lambda: not driver.ailments, 10, f"{driver.name} well again")
+    before = driver.records[row].states
+    wait_until(lambda: driver.records[row].states >= before + states, 10, f"states of {driver.name}")

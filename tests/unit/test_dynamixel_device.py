@@ -1,0 +1,223 @@
+"""The head's servos: driver and emulator on a pseudo-terminal, sound and with every fault."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from comms_manager.hardware.device import Device, DeviceError, Fault, JointCommands, JointMeasurement
+from device_emulators.emulator import EmulatedFault
+from tests.conftest import ROBOTS, wait_until
+from tests.unit.bench import Bench, ailing, sound
+from valor_common.errors import ConfigurationError
+from valor_common.messages import JointMode
+from valor_common.robot import RobotDescription
+from valor_common.table import checked, plain
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+YAW, PITCH, LIDAR = range(3)
+HEAD = ("neck_yaw", "neck_pitch")
+
+
+@pytest.fixture
+def bench(home: Path) -> Iterator[Bench]:
+    bench = Bench(ROBOT, "neck", home)
+    with bench.lock:
+        bench.robot.released = (
+            True  # the world moves; the legs, without devices, are limp, and the head works in falling
+        )
+    yield bench
+    bench.close()
+
+
+def altered(row: int, **servo: object) -> RobotDescription:
+    """ESCHER with another servo in its table."""
+    table: Any = ROBOT.tables.devices["neck"]
+    servos = [replace(each, **servo) if i == row else each for i, each in enumerate(table.servos)]
+    devices = ROBOT.tables.devices | {"neck": replace(table, servos=servos)}
+    return RobotDescription(ROBOT.folder, replace(ROBOT.tables, devices=devices))
+
+
+def send(driver: Device, *position: float, mode: JointMode = JointMode.POSITION) -> None:
+    zero = np.zeros(3)
+    driver.send(JointCommands(1, np.full(3, mode, dtype=np.uint8), np.array([*position, 0.0]), zero, zero, zero, zero))
+
+
+def position(driver: Device, row: int) -> float:
+    measured = driver.measured
+    assert isinstance(measured, JointMeasurement)
+    return float(measured.position[row])
+
+
+def comes_to(driver: Device, row: int, angle: float, within: float = 0.06) -> None:
+    wait_until(lambda: abs(position(driver, row) - angle) < within, 10, f"joint {row} at {angle:g} rad")
+
+
+def test_the_head_goes_where_it_is_sent_and_says_where_it_is(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.5, 0.3)
+        comes_to(driver, YAW, 0.5)
+        comes_to(driver, PITCH, 0.3)
+        with bench.lock:
+            truth = bench.robot.plant.joint_position[driver.joints]
+        assert abs(position(driver, YAW) - truth[YAW]) < 0.1
+        assert driver.ailments == ()
+
+
+def test_it_goes_no_faster_than_the_joint_may(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        began = time.monotonic()
+        send(driver, 1.2, 0.0)
+        comes_to(driver, YAW, 1.2)
+        assert time.monotonic() - began > 0.8 * 1.14 / 6.0
+
+
+def test_the_lidar_spins_at_the_speed_of_the_table(bench: Bench) -> None:
+    with bench.running() as driver:
+        wait_until(lambda: driver.records[LIDAR].states > 5, 10, "states")
+        angles, stamps = [], []
+        while len(angles) < 40:
+            measured = driver.measured
+            assert isinstance(measured, JointMeasurement)
+            if not stamps or measured.stamp[LIDAR] != stamps[-1]:
+                stamps.append(measured.stamp[LIDAR])
+                angles.append(measured.position[LIDAR])
+            time.sleep(0.002)
+        with bench.lock:
+            turned = bench.robot.time
+        speed = np.polyfit(np.array(stamps) * 1e-9, np.unwrap(angles), 1)[0]
+        assert turned > 0
+        assert 0.5 < speed < 1.5  # the bench's own time may lag
+
+
+@pytest.mark.parametrize(
+    ("row", "servo", "message"),
+    [
+        (YAW, {"id": 9}, "neck/neck_yaw: servo 9: no answer to a ping; expected a XM540-W270"),
+        (PITCH, {"model": "MX-64"}, r"neck/neck_pitch: model XM540-W270; expected MX-64 \(robot.yaml\)"),
+        (LIDAR, {"firmware": 45}, r"neck/lidar_roll: firmware 46; expected 45 \(robot.yaml\)"),
+        (YAW, {"zero": 2048}, r"neck/neck_yaw: at 0.035 rad; expected 0.000 ± 0.02 .*zero 2048"),
+    ],
+)
+def test_another_servo_is_refused(bench: Bench, row: int, servo: dict[str, object], message: str) -> None:
+    expecting = altered(row, **servo)
+    strict = replace(expecting.tables, calibration=replace(expecting.tables.calibration, tolerance=0.02))
+    driver = bench.driver(RobotDescription(ROBOT.folder, strict))
+    with pytest.raises(DeviceError, match=message):
+        driver.find()
+    driver.close()
+
+
+def test_a_servo_of_no_known_model_is_refused_when_the_table_is_read() -> None:
+    content = plain(ROBOT.tables)
+    content["devices"]["neck"]["servos"][0]["model"] = "AX-12"
+    with pytest.raises((ConfigurationError, ValueError), match="AX-12: expected one of MX-28"):
+        checked(type(ROBOT.tables), content)
+
+
+@pytest.mark.parametrize(
+    "fault", [EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE]
+)
+def test_nothing_of_a_sick_servo_is_believed_and_the_others_go_on(bench: Bench, fault: EmulatedFault) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("neck_yaw", fault)
+        wait_until(lambda: time.monotonic_ns() - driver.records[YAW].stamp > 3e8, 10, "silence")
+        before = driver.records[PITCH].states
+        wait_until(lambda: driver.records[PITCH].states > before + 5, 10, "the other's states")
+        if fault in (EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM):  # what is late is not even heard
+            wait_until(lambda: driver.records[YAW].errors > 0, 10, "errors counted")
+        bench.heal()
+        sound(driver, YAW)
+
+
+def test_answers_that_come_twice_are_taken_once(bench: Bench) -> None:
+    with bench.running() as driver:
+        for servo in HEAD:
+            bench.inject(servo, EmulatedFault.DUPLICATE)
+        send(driver, 0.4, 0.0)
+        comes_to(driver, YAW, 0.4)
+        assert driver.records[YAW].states <= 50 * 12
+
+
+def test_a_servo_that_lost_its_power_is_found_identified_and_used_again(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.4, 0.2)
+        comes_to(driver, YAW, 0.4)
+        bench.inject("neck_yaw", EmulatedFault.UNPLUGGED)
+        wait_until(lambda: time.monotonic_ns() - driver.records[YAW].stamp > 3e8, 10, "silence")
+        comes_to(driver, PITCH, 0.2)
+        bench.heal()
+        sound(driver, YAW)
+        comes_to(driver, YAW, 0.4)
+
+
+def test_an_unplugged_adapter_is_told_of_and_found_again(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.4, 0.0)
+        comes_to(driver, YAW, 0.4)
+        bench.inject("port", EmulatedFault.UNPLUGGED)
+        assert "gone" in ailing(driver, "neck_pitch", Fault.UNPLUGGED).detail
+        bench.heal()
+        for row in range(3):
+            sound(driver, row)
+        send(driver, -0.3, 0.0)
+        comes_to(driver, YAW, -0.3)
+
+
+def test_a_servo_that_is_too_hot_lets_go_and_is_used_again_when_it_is_cool(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.4, 0.0)
+        comes_to(driver, YAW, 0.4)
+        bench.inject("neck_pitch", EmulatedFault.OVER_TEMPERATURE)
+        assert "90 °C; expected less than 80 °C" in ailing(driver, "neck_pitch", Fault.HOT).detail
+        ailing(driver, "neck_pitch", Fault.DISABLED)
+        assert driver.records[PITCH].temperature == 90.0
+        bench.heal()
+        sound(driver, PITCH)
+        send(driver, 0.4, 0.3)
+        comes_to(driver, PITCH, 0.3)
+
+
+def test_a_weak_supply_is_told(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("neck_yaw", EmulatedFault.UNDER_VOLTAGE)
+        assert "10.0 V; expected more than 10.5 V" in ailing(driver, "neck_yaw", Fault.LOW_VOLTAGE).detail
+        bench.heal()
+        sound(driver)
+
+
+def test_an_encoder_that_jumps_is_not_believed_and_its_joint_stays(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.4, 0.0)
+        comes_to(driver, YAW, 0.4)
+        bench.inject("neck_yaw", EmulatedFault.ENCODER_JUMP)
+        ailing(driver, "neck_yaw", Fault.ENCODER)
+        assert abs(position(driver, YAW) - 0.4) < 0.1
+        send(driver, -0.4, 0.2)
+        comes_to(driver, PITCH, 0.2)
+        with bench.lock:
+            truth = float(bench.robot.plant.joint_position[driver.joints[YAW]])
+        assert abs(truth - 0.4) < 0.45  # it went neither to where the encoder nor to where the command would have it
+
+
+def test_off_is_off(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.4, 0.0)
+        comes_to(driver, YAW, 0.4)
+        send(driver, 0.4, 0.0, mode=JointMode.OFF)
+        place = int(driver.joints[YAW])
+
+        def limp() -> bool:
+            with bench.lock:
+                return not bench.robot._powered[place]
+
+        wait_until(limp, 5, "the servo off")

@@ -1,0 +1,149 @@
+"""The IMU's driver and emulator on a pseudo-terminal, sound and with every fault."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
+from device_emulators.emulator import EmulatedFault
+from tests.conftest import ROBOTS, wait_until
+from tests.unit.bench import Bench, ailing, sound
+from valor_common.robot import RobotDescription
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+
+
+@pytest.fixture
+def bench(home: Path) -> Iterator[Bench]:
+    bench = Bench(ROBOT, "imu", home)
+    yield bench
+    bench.close()
+
+
+def altered(**imu: object) -> RobotDescription:
+    """ESCHER with another IMU in its table."""
+    devices = dict(ROBOT.tables.devices)
+    devices["imu"] = replace(devices["imu"], **imu)
+    return RobotDescription(ROBOT.folder, replace(ROBOT.tables, devices=devices))
+
+
+def test_what_the_robot_feels_arrives(bench: Bench) -> None:
+    """Tilted, turning, standing still: the emulator turns it into the vendor's frames, the driver back."""
+    tilt = np.zeros(4)
+    mujoco.mju_euler2Quat(tilt, np.array([0.3, -0.2, 1.1]), "xyz")
+    with bench.lock:
+        plant = bench.robot.plant
+        plant.data.qpos[3:7] = tilt
+        plant.data.qvel[3:6] = (0.4, -0.3, 0.2)
+        mujoco.mj_forward(plant.model.mj, plant.data)
+        bench.robot._measured = None
+        felt = bench.robot.measured
+    with bench.running() as driver:
+        sound(driver)
+        measured = driver.measured
+        assert isinstance(measured, ImuMeasurement)
+        assert abs(measured.orientation @ tilt) == pytest.approx(1.0, abs=1e-6)
+        np.testing.assert_allclose(measured.angular_velocity, felt.imu_angular_velocity, atol=1e-5)
+        np.testing.assert_allclose(measured.linear_acceleration, felt.imu_linear_acceleration, atol=1e-4)
+
+
+def test_samples_come_at_the_rate_of_the_table(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        before, began = driver.records[0].states, time.monotonic()
+        wait_until(lambda: driver.records[0].states >= before + 100, 10, "a hundred samples")
+        assert (driver.records[0].states - before) / (time.monotonic() - began) < 1.1 * 250
+        assert driver.records[0].errors == 0
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"model": "3DM-GX5-25"}, "imu: model '3DM-GX4-25'; expected '3DM-GX5-25'"),
+        ({"serial": "6234.1"}, "imu: serial number '6234.40117'; expected '6234.1'"),
+        ({"firmware": "1.1.25"}, "imu: firmware '1.1.26'; expected '1.1.25'"),
+        ({"rate": 300}, "imu: rate 300 Hz .*a whole fraction of its 500 Hz"),
+    ],
+)
+def test_another_sensor_is_refused(bench: Bench, table: dict[str, object], message: str) -> None:
+    driver = bench.driver(altered(**table))
+    with pytest.raises(DeviceError, match=message):
+        driver.find()
+    driver.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (EmulatedFault.SILENT, "imu: no answer .*expected a 3DM-GX4-25 with serial number"),
+        (EmulatedFault.BAD_CHECKSUM, "imu: no answer"),
+        (EmulatedFault.UNPLUGGED, "imu: .*cannot be opened.*expected a 3DM-GX4-25"),
+    ],
+)
+def test_start_is_refused_without_a_sensor(bench: Bench, fault: EmulatedFault, message: str) -> None:
+    bench.inject("imu", fault)
+    wait_until(lambda: fault is not EmulatedFault.UNPLUGGED or not list(bench.instance.ports.iterdir()), 5, "unplugged")
+    driver = bench.driver()
+    with pytest.raises(DeviceError, match=message):
+        driver.find()
+    driver.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "counted"),
+    [
+        (EmulatedFault.SILENT, False),
+        (EmulatedFault.GARBAGE, True),
+        (EmulatedFault.BAD_CHECKSUM, True),
+        (EmulatedFault.LATE, True),
+    ],
+)
+def test_nothing_of_a_sick_sensor_is_believed_and_it_is_used_again_when_well(
+    bench: Bench, fault: EmulatedFault, counted: bool
+) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("imu", fault)
+        wait_until(lambda: time.monotonic_ns() - driver.records[0].stamp > 1e8, 10, "silence")
+        before = driver.records[0].states
+        time.sleep(0.1)
+        assert driver.records[0].states == before
+        assert (driver.records[0].errors > 0) is counted
+        bench.heal()
+        sound(driver)
+
+
+def test_what_comes_twice_is_taken_once(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("imu", EmulatedFault.DUPLICATE)
+        wait_until(lambda: driver.records[0].errors >= 20, 10, "refused packets")
+        states, errors = driver.records[0].states, driver.records[0].errors
+        wait_until(lambda: driver.records[0].errors >= errors + 20, 10, "refused packets")
+        assert abs((driver.records[0].states - states) - (driver.records[0].errors - errors)) <= 2
+
+
+def test_a_slow_sensor_is_heard_seldom(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("imu", EmulatedFault.SLOW)
+        sound(driver)
+        before, began = driver.records[0].states, time.monotonic()
+        wait_until(lambda: driver.records[0].states >= before + 10, 10, "ten samples")
+        assert 10 / (time.monotonic() - began) < 0.5 * driver.rate
+
+
+def test_an_unplugged_sensor_is_told_of_and_found_again(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("imu", EmulatedFault.UNPLUGGED)
+        assert "gone" in ailing(driver, "imu", Fault.UNPLUGGED).detail
+        bench.heal()
+        sound(driver)
