@@ -125,7 +125,8 @@ class Servo:
                 self.set(table.goal_velocity, 0)
         if item == table.operating_mode and value not in tuple(OperatingMode):
             return Error.DATA_RANGE
-        if item == table.goal_position and self.mode == OperatingMode.POSITION and not 0 <= value < self.model.turn:
+        lowest, highest = self.model.goals
+        if item == table.goal_position and self.mode == OperatingMode.POSITION and not lowest <= value <= highest:
             return Error.DATA_RANGE
         self.set(item, value)
         return Error.NONE

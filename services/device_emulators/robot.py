@@ -16,7 +16,7 @@ from valor_simulation.plant import Plant
 from valor_simulation.sensors import Sensors
 
 Places = npt.NDArray[np.intp]
-STALENESS = 0.012  # of the newest command to any drive, on the wall, from which on time stands still [s]
+STALENESS = 0.012  # of the newest command to the drives that carry it, on the wall, from which on time stands still [s]
 PATIENCE = 1.0  # and until when [s]
 
 
@@ -49,8 +49,10 @@ class SimulatedRobot:
             joint for device in tables.devices.values() if isinstance(device, SeaCanFd) for joint in device.joints
         ]
         self._carrying: Places = np.array([description.index[joint] for joint in carrying], dtype=np.intp)
+        self._carries = np.zeros(n, dtype=bool)
+        self._carries[self._carrying] = True
         self._measured: Proprioceptor | None = None
-        self._commanded: float | None = None  # when commands came last, on the wall [s]
+        self._commanded: float | None = None  # when commands to what carries it came last, on the wall [s]
         self.released = not carrying
         self.time = 0.0
 
@@ -90,7 +92,8 @@ class SimulatedRobot:
         motor.stiffness[joints] = stiffness
         motor.damping[joints] = damping
         self._changed = True
-        self._commanded = time.monotonic()
+        if self._carries[joints[0]]:
+            self._commanded = time.monotonic()
 
     def hold(self, joints: Places) -> None:
         """Have the drives of joints hold them where their encoders say they are, on the joints' own servos."""

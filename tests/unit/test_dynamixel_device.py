@@ -209,6 +209,28 @@ def test_an_encoder_that_jumps_is_not_believed_and_its_joint_stays(bench: Bench)
         assert abs(truth - 0.4) < 0.45  # it went neither to where the encoder nor to where the command would have it
 
 
+def test_an_arm_of_another_series_with_its_gripper_on_the_same_bus(home: Path) -> None:
+    """THOR's: seven servos whose numbers stand elsewhere, about a zero in the middle, and two like the head's."""
+    thor = RobotDescription.load(ROBOTS / "thor")
+    bench = Bench(thor, "right_arm", home)
+    try:
+        with bench.lock:
+            bench.robot.released = True
+        with bench.running() as driver:
+            nominal = thor.nominal_posture[driver.joints]
+            for row, angle in enumerate(nominal):
+                comes_to(driver, row, float(angle), 0.1)
+            wanted, zero = nominal + 0.2, np.zeros(9)
+            mode = np.full(9, JointMode.POSITION, dtype=np.uint8)
+            driver.send(JointCommands(1, mode, wanted, zero, zero, zero, zero))
+            for row, angle in enumerate(wanted):
+                comes_to(driver, row, float(angle), 0.1)
+            assert driver.ailments == ()
+            assert np.isfinite([record.voltage for record in driver.records]).all()
+    finally:
+        bench.close()
+
+
 def test_off_is_off(bench: Bench) -> None:
     with bench.running() as driver:
         send(driver, 0.4, 0.0)

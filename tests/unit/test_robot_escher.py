@@ -1,4 +1,7 @@
-"""ESCHER's description: what the public models say, what standing needs, and that no number stands twice."""
+"""ESCHER's description: what the public models say, and what is refused of a robot's folder.
+
+What holds for every robot is in ``test_robots.py``.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from tests.conftest import ROBOTS
+from tests.unit.test_robots import ALL, configuration, forward
+from tests.unit.test_robots import FULL as FULL_MODELS
 from valor_common.errors import ConfigurationError
-from valor_common.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
+from valor_common.model import controller_model, full_model
 from valor_common.robot import RobotDescription
 
-ESCHER = Path(__file__).resolve().parents[2] / "robots" / "escher"
-ROBOT = RobotDescription.load(ESCHER)
-FULL = full_model(ROBOT, "collision")
-CONTROLLER = controller_model(ROBOT)
+ESCHER = ROBOTS / "escher"
+ROBOT = ALL["escher"]
+FULL = FULL_MODELS["escher"]
 
 PI = 3.142
 # Left side: lower, upper, effort, speed, whether the right side's limits are mirrored; of the public models.
@@ -46,8 +48,6 @@ SIDED = {
     "thumb_roll": (-1.571, 1.571, 4, 4.189, False),
     "thumb_pitch": (-0.785, 1.571, 4, 4.189, False),
 }
-# Turning about x or z is mirrored into turning the other way, about y into the same.
-LATERAL = ("_yaw", "_roll")
 SEGMENTS = {
     ("pelvis",): 12.66,
     ("l_thigh",): 7.10,
@@ -56,38 +56,6 @@ SEGMENTS = {
     ("chest",): 15.97,
     ("neck_link", "head", "lidar"): 2.68,
 }
-Vector = npt.NDArray[np.float64]
-
-
-def configuration(model: Model, **joints: float) -> Vector:
-    """The zero pose with some joints elsewhere."""
-    qpos: Vector = model.mj.qpos0.copy()
-    for name, angle in joints.items():
-        qpos[model.mj.joint(name).qposadr[0]] = angle
-    return qpos
-
-
-def forward(model: Model, qpos: Vector) -> mujoco.MjData:
-    """Everything that MuJoCo computes at a configuration."""
-    data = mujoco.MjData(model.mj)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model.mj, data)
-    return data
-
-
-def touching(model: Model, data: mujoco.MjData) -> set[tuple[str, ...]]:
-    """Pairs of bodies in contact."""
-    mj = model.mj
-    return {tuple(sorted(mj.body(mj.geom_bodyid[geom]).name for geom in contact.geom)) for contact in data.contact}
-
-
-def with_preset(name: str, *sides: str) -> Vector:
-    """The nominal posture with one or both arms at a preset."""
-    qpos = FULL.nominal_qpos()
-    for side in sides:
-        for joint, angle in ROBOT.tables.arm_presets[name][side].items():  # type: ignore[index]
-            qpos[FULL.mj.joint(joint).qposadr[0]] = angle
-    return qpos
 
 
 def test_has_the_38_joints_of_the_public_models() -> None:
@@ -107,12 +75,9 @@ def test_limits_are_those_of_the_public_models(name: str) -> None:
     assert (right.lower, right.upper, right.effort, right.velocity) == (*expected, effort, speed)
 
 
-@pytest.mark.parametrize("name", SIDED)
-def test_both_sides_have_the_same_drives(name: str) -> None:
-    left, right = ROBOT.tables.joints[f"l_{name}"], ROBOT.tables.joints[f"r_{name}"]
-    assert (left.servo, left.armature, left.damping, left.control) == (
-        right.servo, right.armature, right.damping, right.control,
-    )  # fmt: skip
+def test_com_of_the_nominal_posture_is_as_high_as_walking_was_tuned_for() -> None:
+    com = forward(FULL, FULL.nominal_qpos()).subtree_com[FULL.body("pelvis")]
+    assert 0.85 < com[2] < 0.87
 
 
 def test_masses_are_those_of_the_public_models() -> None:
@@ -162,96 +127,11 @@ def test_joints_turn_as_the_public_models_do() -> None:
     assert forward(FULL, configuration(FULL, neck_pitch=0.5)).site("gaze").xpos[2] < zero.site("gaze").xpos[2]
 
 
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
-def test_left_and_right_are_mirror_images(seed: int) -> None:
-    """A posture and its mirror image put every body, and the CoM, at mirrored places: geometry, masses, axes agree."""
-    rng = np.random.default_rng(seed)
-    angles = {name: rng.uniform(-1, 1) for name in ROBOT.joints}
-    mirrored = {
-        {"l_": "r_", "r_": "l_"}.get(name[:2], name[:2]) + name[2:]: -angle if name.endswith(LATERAL) else angle
-        for name, angle in angles.items()
-    }
-    one, other = forward(FULL, configuration(FULL, **angles)), forward(FULL, configuration(FULL, **mirrored))
-    flip = np.array([1, -1, 1])
-    for i in range(1, FULL.mj.nbody):
-        name = FULL.mj.body(i).name
-        twin = FULL.body({"l_": "r_", "r_": "l_"}.get(name[:2], name[:2]) + name[2:])
-        np.testing.assert_allclose(one.xipos[i], other.xipos[twin] * flip, atol=1e-9, err_msg=name)
-        assert FULL.mj.body_mass[i] == FULL.mj.body_mass[twin]
-        np.testing.assert_array_equal(FULL.mj.body_inertia[i], FULL.mj.body_inertia[twin])
-
-
-def test_inertias_are_those_of_solid_bodies() -> None:
-    """Radii of gyration between 1 cm and 15 cm, and the triangle inequality, for every body."""
-    for i in range(1, FULL.mj.nbody):
-        inertia, mass = np.sort(FULL.mj.body_inertia[i]), FULL.mj.body_mass[i]
-        assert inertia[0] > 0
-        assert inertia[0] + inertia[1] >= inertia[2] * (1 - 1e-6)
-        assert 0.005 <= math.sqrt(inertia[2] / mass) <= 0.15, FULL.mj.body(i).name
-
-
-@pytest.mark.parametrize("model", [FULL, CONTROLLER], ids=["full", "controller"])
-def test_nominal_posture_has_the_com_over_the_middle_of_flat_soles(model: Model) -> None:
-    data = forward(model, model.nominal_qpos())
-    feet = ROBOT.tables.feet
-    centers = []
-    for foot in (feet.left, feet.right):
-        sole = data.site(foot.sole)
-        assert abs(sole.xpos[2]) < 1e-3
-        np.testing.assert_allclose(sole.xmat.reshape(3, 3)[:, 2], (0, 0, 1), atol=1e-3)
-        centers.append(sole.xpos + sole.xmat.reshape(3, 3) @ ((foot.heel + foot.toe) / 2, 0, 0))
-    com = data.subtree_com[model.body(ROBOT.tables.base)]
-    assert np.linalg.norm(com[:2] - np.mean(centers, axis=0)[:2]) < 0.005
-    assert 0.85 < com[2] < 0.87
-
-
-def test_nominal_posture_is_within_limits_with_room_to_move() -> None:
-    moving = np.isfinite(ROBOT.lower)
-    nominal = ROBOT.nominal_posture[moving]
-    assert (nominal - ROBOT.lower[moving] > 0.05).all()
-    assert (ROBOT.upper[moving] - nominal > 0.05).all()
-
-
-def test_ankles_hold_the_robot_up_without_control() -> None:
-    ankles = sum(ROBOT.tables.joints[name].servo.stiffness for name in ("l_ankle_pitch", "r_ankle_pitch"))
-    assert ankles > 1.5 * 75.9 * 9.81 * 0.86
-
-
-def test_nothing_touches_in_the_zero_and_nominal_postures() -> None:
-    for qpos in (FULL.mj.qpos0, FULL.nominal_qpos()):
-        assert touching(FULL, forward(FULL, qpos)) == set()
-
-
-@pytest.mark.parametrize("preset", ROBOT.tables.arm_presets)
-@pytest.mark.parametrize("sides", [("left",), ("right",), ("left", "right")], ids="+".join)
-def test_arm_presets_touch_nothing(preset: str, sides: tuple[str, ...]) -> None:
-    assert touching(FULL, forward(FULL, with_preset(preset, *sides))) == set()
-
-
-@pytest.mark.parametrize("limb", ["arm", "hand"])
-def test_presets_are_complete_within_limits_and_mirrored(limb: str) -> None:
-    presets = {"arm": ROBOT.tables.arm_presets, "hand": ROBOT.tables.hand_presets}[limb]
-    assert {"arm": {"home", "forward", "side", "up", "fold"}, "hand": {"open", "close"}}[limb] <= set(presets)
-    for preset, sides in presets.items():
-        assert set(sides) == {"left", "right"}
-        for side, posture in sides.items():
-            assert list(posture) == ROBOT.tables.groups[f"{side}_{limb}"]
-            for name, angle in posture.items():
-                joint = ROBOT.tables.joints[name]
-                assert joint.lower is not None
-                assert joint.upper is not None
-                assert joint.lower <= angle <= joint.upper, (preset, name)
-        for name, angle in sides["left"].items():
-            mirrored = -angle if name.endswith(LATERAL) else angle
-            assert sides["right"]["r_" + name[2:]] == mirrored
-
-
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_hand_closes_towards_its_palm(side: Literal["left", "right"]) -> None:
     s = side[0]
 
-    def fingers(preset: str) -> dict[str, Vector]:
+    def fingers(preset: str) -> dict[str, npt.NDArray[np.float64]]:
         """Where the fingers are in the hand's frame, from the gripper site."""
         data = forward(FULL, configuration(FULL, **ROBOT.tables.hand_presets[preset][side]))
         hand = data.body(f"{s}_hand")
@@ -265,52 +145,6 @@ def test_a_hand_closes_towards_its_palm(side: Literal["left", "right"]) -> None:
         assert inward * (closed[name][1] - opened[name][1]) > 0.03, name
     for name in ("index", "ring", "thumb"):
         assert np.linalg.norm(closed[name][:2]) < np.linalg.norm(opened[name][:2]), name
-
-
-def test_the_arm_cannot_pass_through_the_chest() -> None:
-    qpos = configuration(FULL, l_shoulder_yaw=-1.5, l_elbow_pitch=0.3, l_shoulder_roll=-0.5)
-    assert ("chest", "l_forearm") in touching(FULL, forward(FULL, qpos))
-
-
-@pytest.mark.parametrize("model", [FULL, CONTROLLER], ids=["full", "controller"])
-def test_models_carry_the_numbers_of_robot_yaml(model: Model) -> None:
-    mj = model.mj
-    for name in model.joints:
-        joint, table = mj.joint(name), ROBOT.tables.joints[name]
-        dof = joint.dofadr[0]
-        assert mj.dof_armature[dof] == table.armature
-        assert mj.dof_damping[dof] == table.damping
-        assert bool(joint.limited[0]) == (table.lower is not None)
-        if table.lower is not None:
-            np.testing.assert_allclose(joint.range, (table.lower, table.upper))
-    assert mj.opt.timestep == ROBOT.tables.physics_step
-
-
-@pytest.mark.parametrize("model", [FULL, CONTROLLER], ids=["full", "controller"])
-def test_addresses_lead_to_the_joints(model: Model) -> None:
-    for place, name in enumerate(model.joints):
-        joint = model.mj.joint(name)
-        assert np.arange(model.mj.nq)[model.qpos][place] == joint.qposadr[0]
-        assert np.arange(model.mj.nv)[model.dof][place] == joint.dofadr[0]
-        assert np.array(ROBOT.joints)[model.joint_indices][place] == name
-
-
-def test_controller_model_moves_the_whole_body_joints_only() -> None:
-    expected = [name for group in WHOLE_BODY_GROUPS for name in ROBOT.tables.groups[group]]
-    assert sorted(CONTROLLER.joints) == sorted(expected)
-    assert CONTROLLER.mj.nv == 6 + 27
-    assert isinstance(CONTROLLER.dof, slice)  # views, not copies, in the control loop
-    assert isinstance(CONTROLLER.joint_indices, slice)
-
-
-def test_controller_model_weighs_what_the_full_one_does() -> None:
-    """With the welded joints at nominal, the mass matrix is the full one's without their rows."""
-    full, reduced = forward(FULL, FULL.nominal_qpos()), forward(CONTROLLER, CONTROLLER.nominal_qpos())
-    M, m = np.zeros((FULL.mj.nv,) * 2), np.zeros((CONTROLLER.mj.nv,) * 2)
-    mujoco.mj_fullM(FULL.mj, full, M)
-    mujoco.mj_fullM(CONTROLLER.mj, reduced, m)
-    rows = [*range(6), *(FULL.mj.joint(name).dofadr[0] for name in CONTROLLER.joints)]
-    np.testing.assert_allclose(M[np.ix_(rows, rows)], m, atol=1e-9)
 
 
 def variant(folder: Path, change: Callable[[dict[str, object], str], str]) -> RobotDescription:

@@ -114,6 +114,7 @@ class ServoModel:
     number: int
     table: ControlTable
     turn: int  # position steps of a whole turn
+    goals: tuple[int, int]  # lowest and highest position that it takes in POSITION mode [steps]
     velocity_unit: float  # [rad/s]
     current_unit: float  # [A]
     torque_constant: float  # at the horn, estimated [N·m/A]
@@ -126,17 +127,18 @@ class ServoModel:
         return 2.0 * math.pi / self.turn
 
 
+_TURN = (0, 4095)
 _RPM = 2.0 * math.pi / 60.0
 MODELS = {
-    "MX-28": ServoModel(30, X_SERIES, 4096, 0.229 * _RPM, 3.36e-3, 1.8, 12.0),
-    "MX-64": ServoModel(311, X_SERIES, 4096, 0.229 * _RPM, 3.36e-3, 1.5, 12.0),
-    "MX-106": ServoModel(321, X_SERIES, 4096, 0.229 * _RPM, 3.36e-3, 1.6, 12.0),
-    "XM430-W350": ServoModel(1020, X_SERIES, 4096, 0.229 * _RPM, 2.69e-3, 1.8, 12.0),
-    "XM430-W210": ServoModel(1030, X_SERIES, 4096, 0.229 * _RPM, 2.69e-3, 1.3, 12.0),
-    "XM540-W270": ServoModel(1120, X_SERIES, 4096, 0.229 * _RPM, 2.69e-3, 2.4, 12.0),
-    "XM540-W150": ServoModel(1130, X_SERIES, 4096, 0.229 * _RPM, 2.69e-3, 1.7, 12.0),
-    "PH54-200-S500-R": ServoModel(2020, P_SERIES, 1003846, 0.01 * _RPM, 1e-3, 4.8, 24.0),
-    "PH54-100-S500-R": ServoModel(2010, P_SERIES, 1003846, 0.01 * _RPM, 1e-3, 4.5, 24.0),
-    "PH42-020-S300-R": ServoModel(2000, P_SERIES, 607500, 0.01 * _RPM, 1e-3, 3.4, 24.0),
+    "MX-28": ServoModel(30, X_SERIES, 4096, _TURN, 0.229 * _RPM, 3.36e-3, 1.8, 12.0),
+    "MX-64": ServoModel(311, X_SERIES, 4096, _TURN, 0.229 * _RPM, 3.36e-3, 1.5, 12.0),
+    "MX-106": ServoModel(321, X_SERIES, 4096, _TURN, 0.229 * _RPM, 3.36e-3, 1.6, 12.0),
+    "XM430-W350": ServoModel(1020, X_SERIES, 4096, _TURN, 0.229 * _RPM, 2.69e-3, 1.8, 12.0),
+    "XM430-W210": ServoModel(1030, X_SERIES, 4096, _TURN, 0.229 * _RPM, 2.69e-3, 1.3, 12.0),
+    "XM540-W270": ServoModel(1120, X_SERIES, 4096, _TURN, 0.229 * _RPM, 2.69e-3, 2.4, 12.0),
+    "XM540-W150": ServoModel(1130, X_SERIES, 4096, _TURN, 0.229 * _RPM, 2.69e-3, 1.7, 12.0),
+    "PH54-200-S500-R": ServoModel(2020, P_SERIES, 1003846, (-501923, 501923), 0.01 * _RPM, 1e-3, 4.8, 24.0),
+    "PH54-100-S500-R": ServoModel(2010, P_SERIES, 1003846, (-501923, 501923), 0.01 * _RPM, 1e-3, 4.5, 24.0),
+    "PH42-020-S300-R": ServoModel(2000, P_SERIES, 607500, (-303750, 303750), 0.01 * _RPM, 1e-3, 3.4, 24.0),
 }
 """By the name that robot.yaml gives."""

@@ -84,10 +84,6 @@ class _Servo:
         angle = self.table.direction * (steps - self.table.zero) * self.model.position_unit
         return math.remainder(angle, 2.0 * math.pi) if self.table.spin is not None else angle
 
-    def goals(self) -> tuple[int, int]:
-        """Steps that it takes as set-points."""
-        return (0, self.model.turn - 1)
-
 
 class DynamixelServos(Device):
     """All servos on one port."""
@@ -374,7 +370,7 @@ class DynamixelServos(Device):
                 self._switch_off(servo)
                 continue
             steps = servo.steps(self._next_goal(servo, command))
-            lowest, highest = servo.goals()
+            lowest, highest = servo.model.goals
             goals.setdefault(servo.registers.goal_position, {})[servo.table.id] = min(max(steps, lowest), highest)
         for item, values in goals.items():
             self._port.write_all(item, values)

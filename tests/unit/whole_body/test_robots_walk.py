@@ -1,0 +1,36 @@
+"""Every robot of ``robots/`` stands and walks on its own tables, in a plant that is not what is believed of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from tests.conftest import ROBOTS
+from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+
+SPEED = 0.3  # [m/s]
+DURATION = 4.0  # [s]
+OTHERS = sorted(file.parent.name for file in ROBOTS.glob("*/robot.yaml") if file.parent.name != "escher")
+
+
+@pytest.mark.parametrize("name", OTHERS)  # ESCHER walks in many a test
+def test_it_stands_walks_and_stops(name: str) -> None:
+    loop = ClosedLoop(load_robot(name), "hardware", seed=1)
+    loop.settle(0.3)
+    loop.run(2.2)
+    assert np.abs(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom).max() < 0.02
+    source = loop.controller.step_source = VelocitySteps(loop.robot.tables.walking)
+    start, began, errors = loop.plant.data.qpos[:3].copy(), loop.time, []
+    while loop.fall is None and (loop.time < began + DURATION or loop.controller.stepping):
+        if loop.time < began + DURATION:
+            source.command(np.array((SPEED, 0.0, 0.0)), loop.time)
+        source.advance(loop.time)
+        loop.step()
+        errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
+        assert loop.time < began + 3 * DURATION
+    assert loop.fall is None
+    way = loop.plant.data.qpos[:3] - start
+    assert 0.7 * SPEED * DURATION < way[0] < 1.3 * SPEED * DURATION
+    assert abs(way[1]) < 0.1
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.02  # measured: 3, 6, 6 mm
