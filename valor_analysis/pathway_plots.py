@@ -24,7 +24,7 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     axes = figure.add_axes((0.065, 0.2, 0.92, 0.6))
     style.quiet(axes, "", "", "latency [ms]")
     width = 0.8 / len(found)
-    top = 0.0
+    bottom = top = 0.0
     for i, latencies in enumerate(found.values()):
         offset = (i - 0.5 * (len(found) - 1)) * width
         for place, segment in enumerate(latencies.segments):
@@ -35,7 +35,7 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
             axes.errorbar(at, mean, deviation, color=style.INK, linewidth=1.0, capsize=2.5)
             axes.annotate(f"{mean:.1f}", (at, mean + deviation), (0, 3), textcoords="offset points", ha="center",
                           fontsize=8, color=style.GREY)  # fmt: skip
-            top = max(top, mean + deviation)
+            bottom, top = min(bottom, mean - deviation if mean < 0.0 else 0.0), max(top, mean + deviation)
     names = [
         segment.name.replace(" → ", " →\n").replace(" change ", "\nchange ")
         for segment in next(iter(found.values())).segments
@@ -43,7 +43,8 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     axes.set_xticks(range(len(names)), names)
     axes.tick_params(axis="x", labelcolor=style.INK)
     axes.grid(False, axis="x")
-    axes.set_ylim(0.0, 1.15 * top)
+    axes.set_ylim(1.15 * bottom, 1.15 * top)
+    axes.axhline(0.0, color=style.GREY, linewidth=0.8)
     handles = [Line2D([], [], color=color, linewidth=6.0, label=name) for name, color in _COLORS.items()]
     if len(found) > 1:
         shades = zip(found, (0.45, 1.0), strict=True)
@@ -71,15 +72,21 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     names = [segment.name for segment in next(iter(found.values())).segments]
     used: dict[str, str] = {}
     labels = []
+    lowest = highest = 0.0
     for group, pathways in enumerate(zip(*(latencies.pathways for latencies in found.values()), strict=True)):
         for i, (profile, pathway) in enumerate(zip(found, pathways, strict=True)):
-            at, left = -(group * (len(found) + 0.4) + i), 0.0
+            at = -(group * (len(found) + 0.4) + i)
+            ends = {True: 0.0, False: 0.0}  # what is below zero stands to the left of it
             for segment in pathway.segments:
                 color = used.setdefault(segment.name, style.SERIES[names.index(segment.name)])
-                axes.barh(at, 1e3 * segment.mean, 0.8, left=left, color=color)
-                left += 1e3 * segment.mean
-            axes.errorbar(left, at, xerr=1e3 * pathway.deviation, color=style.INK, linewidth=1.0, capsize=3)
-            text, end = f"{left:.1f} ms (thesis: {thesis[pathway.name]})", left + 1e3 * pathway.deviation
+                step = 1e3 * segment.mean
+                axes.barh(at, step, 0.8, left=ends[step >= 0.0], color=color)
+                ends[step >= 0.0] += step
+            total, deviation = 1e3 * pathway.mean, 1e3 * pathway.deviation
+            axes.errorbar(total, at, xerr=deviation, color=style.GREY, linewidth=1.0, capsize=3)
+            lowest, end = min(lowest, ends[False]), max(ends[True], total + deviation)
+            highest = max(highest, end)
+            text = f"{total:.1f} ms (thesis: {thesis[pathway.name]})"
             axes.annotate(
                 text, (end, at), (6, 0), textcoords="offset points", va="center", fontsize=8.5, color=style.GREY
             )
@@ -87,7 +94,8 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     axes.set_yticks([at for at, _ in labels], [label for _, label in labels])
     axes.tick_params(axis="y", labelcolor=style.INK)
     axes.grid(False, axis="y")
-    axes.set_xlim(0.0, 1.3 * axes.get_xlim()[1])
+    axes.set_xlim(1.1 * lowest, 1.3 * highest)
+    axes.axvline(0.0, color=style.GREY, linewidth=0.8)
     handles = [Line2D([], [], color=color, linewidth=6.0, label=name) for name, color in used.items()]
     style.legend(figure, handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=4)
     style.heading(figure, "From end to end", "the segments of each pathway; lines: one standard deviation of the sum")

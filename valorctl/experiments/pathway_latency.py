@@ -50,7 +50,7 @@ _NOTES = {
     "VEC → MSetpoint": "by stamps; the whole update of the VRC is in it",
     "VEC → Motor": "by cross-correlation; the Motion System extrapolates set-points, so that hardly a delay is left",
     "Motor → HDT Cmd.": "by stamps: Proprioceptor says which Motor is obeyed; a control period, and the plant's delay",
-    "HDT Cmd. → Prop.": "by cross-correlation; the arm's servo, its torque lag and its mass",
+    "HDT Cmd. → Prop.": "by cross-correlation; below zero where feed-forward is a period ahead of the set-point",
     "Prop. → JS": "by stamps; no polling: the VRC is woken by what comes",
     "Mode change cmd.": "by stamps, to the first MotionState of the new behavior",
     "Mode change reported": "by stamps, from that MotionState to the VRC's report",
