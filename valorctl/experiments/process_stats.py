@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -10,15 +11,14 @@ import bifrost
 from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor_analysis.results import Measure, Table
 from valor_common.errors import ValorError
-from valor_common.messages import Statistics
-from valor_common.topics import BAG_RECORDER_STATISTICS
+from valor_common.topics import BAG_RECORDER_STATISTICS, PROPRIOCEPTOR, Topic
 from valorctl.console import bar
 from valorctl.experiments.experiment import Run
 from valorctl.supervision import Supervisor
 
 SECONDS, QUICK = 300.0, 3.0
 PERIOD = 0.5  # between two looks [s]
-PATIENCE = 10.0  # with the recorder, which speaks once a second [s]
+PATIENCE = 10.0  # with a process that should speak [s]
 _VRC = "valor_ros_controller"
 
 
@@ -27,14 +27,15 @@ def run(run: Run) -> None:
     seconds = QUICK if run.options.quick else SECONDS
     with run.system():
         sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
-        began = time.monotonic()
+        began, robot_time = time.monotonic(), _robot_time(run)
         with bar("standing", seconds, "s") as shown:
             while (elapsed := time.monotonic() - began) < seconds:
                 time.sleep(max(0.0, PERIOD - elapsed % PERIOD))
                 sampler.look()
                 shown(elapsed)
                 run.interruption.check()
-        dropped = _dropped(run)
+        pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
+        dropped = _hear(run, BAG_RECORDER_STATISTICS).drops
     usage = sampler.usage()
     run.text = (
         f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
@@ -60,6 +61,8 @@ def run(run: Run) -> None:
         Measure("Motion System processor, mean",
                 float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
                 "over 150", "the Comms Manager's part simulates the robot here"),
+        Measure("robot time against the wall's", pace, "", "", "below 1 on a computer too busy for the simulation: "
+                "percentages are as much lower"),
         Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",
                 "every message of every topic, at the control rate"),
         Measure("recorder, messages dropped", float(dropped), "", "", "of all topics, since it began"),
@@ -69,14 +72,18 @@ def run(run: Run) -> None:
     run.picture([plot(usage, run.out / "process_stats.png")], "Processor and memory of every process over time.")
 
 
-def _dropped(run: Run) -> int:
-    """What the recorder has dropped by its own word."""
+def _hear(run: Run, topic: Topic) -> Any:
+    """The next message of a topic."""
     network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
     with bifrost.Node("experiment", network=network) as node:
-        received = node.subscriber(BAG_RECORDER_STATISTICS.name, Statistics).receive(timeout=PATIENCE)
+        received = node.subscriber(topic.name, topic.type).receive(timeout=PATIENCE)
     if received is None:
-        raise ValorError(f"bag_recorder is silent: no {BAG_RECORDER_STATISTICS.name} within {PATIENCE:g} s")
-    return received.message.drops
+        raise ValorError(f"{topic.publisher} is silent: no {topic.name} within {PATIENCE:g} s")
+    return received.message
+
+
+def _robot_time(run: Run) -> float:
+    return 1e-9 * float(_hear(run, PROPRIOCEPTOR).time)
 
 
 def _row(name: str, one: Usage) -> list[str]:
