@@ -8,6 +8,8 @@ from typing import Any
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Statistics
+from mcap.summary import Summary
 
 from valor_common.errors import ValorError
 
@@ -38,38 +40,44 @@ class BagSummary:
         return asdict(self) | {"file": str(self.file)}
 
 
-def summarize(file: Path) -> BagSummary:
-    """Read a recording's index.
+def summarize(path: Path) -> BagSummary:
+    """Read the index of a recording: a file, or a folder of them.
 
     Raises:
         ValorError: no such file, no MCAP file, or one that has no index yet.
     """
+    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if not files:
+        raise ValorError(f"{path}: no bag: expected files *.mcap")
+    counts: dict[tuple[str, str], int] = {}
+    starts, ends, messages = [], [], 0
+    for file in files:
+        summary, statistics = _index(file)
+        messages += statistics.message_count
+        if statistics.message_count:
+            starts.append(statistics.message_start_time)
+            ends.append(statistics.message_end_time)
+        for channel in summary.channels.values():
+            schema = summary.schemas.get(channel.schema_id)
+            key = (channel.topic, schema.name if schema else "")
+            counts[key] = counts.get(key, 0) + statistics.channel_message_counts.get(channel.id, 0)
+    start = min(starts, default=0)
+    duration = (max(ends, default=0) - start) * 1e-9
+    topics = [
+        RecordedTopic(name, type_name, count, count / duration if duration else 0.0)
+        for (name, type_name), count in sorted(counts.items())
+    ]
+    return BagSummary(path, sum(file.stat().st_size for file in files), start * 1e-9, duration, messages, topics)
+
+
+def _index(file: Path) -> tuple[Summary, Statistics]:
     try:
         with open(file, "rb") as stream:
             summary = make_reader(stream).get_summary()
-            size = file.stat().st_size
     except OSError as error:
         raise ValorError(f"{file}: {error.strerror}") from None
     except (McapError, ValueError) as error:
         raise ValorError(f"{file}: not a whole MCAP file ({error}); `valorctl bag recover` may mend it") from None
     if summary is None or summary.statistics is None:
         raise ValorError(f"{file}: has no index; `valorctl bag recover` adds it once the recorder has ended")
-    statistics = summary.statistics
-    duration = (statistics.message_end_time - statistics.message_start_time) * 1e-9
-    topics = [
-        RecordedTopic(
-            channel.topic,
-            summary.schemas[channel.schema_id].name if channel.schema_id in summary.schemas else "",
-            (count := statistics.channel_message_counts.get(channel.id, 0)),
-            count / duration if duration else 0.0,
-        )
-        for channel in summary.channels.values()
-    ]
-    return BagSummary(
-        file,
-        size,
-        statistics.message_start_time * 1e-9,
-        duration,
-        statistics.message_count,
-        sorted(topics, key=lambda topic: topic.name),
-    )
+    return summary, summary.statistics

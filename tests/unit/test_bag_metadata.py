@@ -11,6 +11,8 @@ from rosbags.rosbag2 import Reader
 
 from bag_recorder.bag import Bag, RecordedTopic
 from valor_common import rosbag2_metadata
+from valor_common.errors import ValorError
+from valorctl.bag_summary import summarize
 
 QOS = yaml.safe_dump([
     {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "transient_local",
@@ -48,6 +50,16 @@ def test_the_splits_of_a_recording_are_one_bag_in_their_order(tmp_path: Path) ->
             *range(1000, 1005), *range(2000, 2004)
         ]  # fmt: skip
     assert [path.name for path in folder.iterdir() if path.suffix == ".new"] == []
+
+
+def test_a_folder_is_summed_up(tmp_path: Path) -> None:
+    bag(tmp_path / "walk" / "walk.mcap", 10**9, 5, (WORDS,))
+    bag(tmp_path / "walk" / "walk_1.mcap", 2 * 10**9, 1, (WORDS, NUMBERS))
+    found = summarize(tmp_path / "walk")
+    assert (found.start, found.duration, found.messages) == (1.0, 1.0, 7)
+    assert [(topic.name, topic.messages) for topic in found.topics] == [("/numbers", 1), ("/words", 6)]
+    with pytest.raises(ValorError, match="expected files"):
+        summarize(tmp_path)
 
 
 def test_a_folder_without_a_finished_bag_gets_none(tmp_path: Path) -> None:

@@ -23,7 +23,10 @@ def register(app: typer.Typer) -> None:
 
 
 @bag.command()
-def info(file: File, json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+def info(
+    file: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap file, or a folder of them.")],
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
     """Show when it was recorded, and every topic with its type and number of messages."""
     from valorctl.bag_summary import summarize
 
