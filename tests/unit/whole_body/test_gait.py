@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -9,7 +10,9 @@ from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level
 from motion_manager.whole_body.walking.step_queue import StepQueue
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from valor_common import worlds
 from valor_common.robot import RobotDescription
+from valor_common.worlds.world import ground
 
 
 def walk(loop: ClosedLoop, velocity: tuple[float, float, float], seconds: float) -> tuple[np.ndarray, float]:
@@ -77,6 +80,39 @@ def test_climbs_stairs_step_over_step(robot: RobotDescription) -> None:
     assert (np.sqrt((np.array(errors) ** 2).mean(axis=0)) < (0.015, 0.015, 0.035)).all()
     assert knee > 0.3
     assert loop.plant.data.qpos[2] - before == pytest.approx(0.45, abs=0.04)
+
+
+class Drops:
+    """Level ground, and twice a step down across the way, at 1.1 m and at 1.9 m."""
+
+    def __init__(self, depth: float) -> None:
+        """Args: depth: of each [m]."""
+        self._depth = depth
+
+    def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
+        """Add its blocks."""
+        for i, (begin, end) in enumerate(((-2.0, 1.1), (1.1, 1.9), (1.9, 8.0))):
+            ground(spec, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5 * (end - begin), 3.0, 0.5],
+                   pos=[0.5 * (begin + end), 0.0, -0.5 - i * self._depth])  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_foot_that_finds_no_ground_in_time_is_no_fall(
+    robot: RobotDescription, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Steps down of 5 cm that nobody told of, at 0.45 m/s: twice as deep as a foot is led."""
+    monkeypatch.setitem(worlds.WORLDS, "drops", Drops(0.05))
+    loop = ClosedLoop(robot, "hardware", seed, world="drops")
+    loop.settle(0.3)
+    loop.run(0.5)
+    before = loop.plant.data.qpos[:3].copy()
+    errors, knee = walk(loop, (0.45, 0.0, 0.0), 7.0)
+    assert loop.fall is None
+    forward, _, up = (loop.plant.data.qpos[:3] - before).tolist()
+    assert forward > 2.1  # beyond both
+    assert up == pytest.approx(-0.1, abs=0.03)
+    assert (np.sqrt((errors**2).mean(axis=0)) < (0.02, 0.015, 0.02)).all()
+    assert knee > 0.3
 
 
 def test_walks_at_a_thousand_periods_a_second_as_at_five_hundred() -> None:
