@@ -123,6 +123,7 @@ class ValorRosController:
         self._publisher = Publisher(
             node, robot, tree, self._stamp, rate=rate, simulated=context.settings.profile != "hardware"
         )
+        self._interface.measured = self._measured
         self._bypass = ControllerBypass(
             node,
             context.node,
@@ -183,7 +184,7 @@ class ValorRosController:
 
     def run(self) -> None:
         """Turn the loop until told to stop."""
-        context, hw, stamp = self._context, self._hw, self._stamp
+        context, hw = self._context, self._hw
         statistics = context.statistics
         self._ros.start()
         quiet_collector()
@@ -192,7 +193,6 @@ class ValorRosController:
             began = self._controller.began
             if measured:
                 self._cycles += 1
-                stamp.sec, stamp.nanosec = divmod(hw.time, 1_000_000_000)
                 self._publisher.publish(hw)
                 for state in self._joint_states:
                     state.publish(hw)
@@ -209,6 +209,11 @@ class ValorRosController:
                 statistics.cycle(began)
             else:
                 statistics.idle()
+
+    def _measured(self) -> None:
+        """A cycle's measurement is there."""
+        self._stamp.sec, self._stamp.nanosec = divmod(self._hw.time, 1_000_000_000)
+        self._publisher.publish_joints(self._hw)
 
     def _hand_over(self) -> None:
         """Tell the diagnostics and the statistics how we fare."""

@@ -64,6 +64,7 @@ SUPPORT = "support"
 WALKING = frozenset({"walk", "walk_manipulate"})  # control modes
 HANDS = ("l_hand", "r_hand")
 QUEUE = 10  # commands on demand that wait for the update loop; more, and the oldest are let go
+LOOK = 5  # what comes back from the Motion System is looked for at every so many cycles
 NORM = 1e-2  # most that a quaternion's norm may be off
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -102,14 +103,15 @@ class ControllerBypass:
         self._origin = node.name
         self._interface = interface
         self._frames = dict.fromkeys(base_frames, "pelvis") | {"odom": "odom"}
+        self._cycle = 0
         self._newest: RealTimeBuffer[Twist] = RealTimeBuffer()
         self._waiting: deque[Callable[[ValorEscherHWInterface], object]] = deque(maxlen=QUEUE)
         self._velocity = node.publisher(VELOCITY.name, VelocityCommand)
         self._hand_goal = node.publisher(HAND_GOAL.name, HandGoal)
         self._gains = node.publisher(JOINT_GAINS.name, JointGains)
         self._weights = node.publisher(BALANCE_WEIGHTS.name, BalanceWeights)
-        self._statuses = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=QUEUE)
-        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=QUEUE)
+        self._statuses = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=5 * QUEUE)
+        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=5 * QUEUE)
         ros.create_subscription(Twist, CMD_VEL, self._newest.write, 1)
         ros.create_subscription(PoseStamped, PELVIS_GOAL, self._move_pelvis, 1)
         ros.create_subscription(Empty, "/flor/controller/soft_stop", lambda _: soft_stop(), 1)
@@ -127,11 +129,13 @@ class ControllerBypass:
         """Pass on what is new, both ways."""
         while self._waiting:
             self._waiting.popleft()(hw)
-        for status in self._statuses.drain():
-            if 0 <= status.message.hand < len(HANDS):
-                self._hand_status[status.message.hand].publish(status)
-        for rejection in self._rejections.drain():
-            self._tell(rejection)
+        self._cycle = (self._cycle + 1) % LOOK
+        if self._cycle == 0:
+            for status in self._statuses.drain():
+                if 0 <= status.message.hand < len(HANDS):
+                    self._hand_status[status.message.hand].publish(status)
+            for rejection in self._rejections.drain():
+                self._tell(rejection)
         twist = self._newest.read()
         if twist is None or control_mode not in WALKING:
             return

@@ -1,12 +1,11 @@
 """The robot's state on ROS, in ViGIR's and the standard names.
 
-Messages are made once and filled anew; vectors are written into the arrays that the messages hold. What a message
-holds at the standard rate is decided by ``PUBLICATIONS``.
+Messages are serialized once and their numbers written anew (``prepared_message``). How often each is published is
+decided by ``PUBLICATIONS``.
 """
 
 from __future__ import annotations
 
-import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import nan
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, PoseWithCovariance, TwistWithCovariance, WrenchStamped
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -26,6 +25,7 @@ from std_msgs.msg import String
 from valor_common.messages import Proprioceptor
 from valor_common.robot import RobotDescription
 from valor_ros_controller.kinematic_tree import KinematicTree
+from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 from valor_ros_controller.ros.transforms import ODOM, TransformPublisher
 from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
@@ -63,10 +63,13 @@ def _diagonal(variances: tuple[float, ...]) -> Vector:
     return np.diag(variances).ravel()
 
 
-def _diagonal_view(message: PoseWithCovariance | TwistWithCovariance) -> Vector:
-    """(6,) the diagonal of a message's covariance, to write to."""
-    view: Vector = message.covariance[::7]
-    return view
+def _mark_vector(vector: Vector3 | Point, first: int) -> None:
+    vector.x, vector.y, vector.z = map(mark, range(first, first + 3))
+
+
+def _mark_quaternion(q: Quaternion, first: int) -> None:
+    """In our order: w, x, y, z."""
+    q.w, q.x, q.y, q.z = map(mark, range(first, first + 4))
 
 
 class Publisher:
@@ -96,44 +99,49 @@ class Publisher:
         self._clock = node.create_publisher(Clock, *TOPICS["clock"], 1) if simulated else None
         self._clock_message = Clock(clock=stamp)
 
+        n = len(robot.joints)
         self._joints = node.create_publisher(JointState, *TOPICS["joints"], QUEUE)
-        self._joint_message = JointState(name=list(robot.joints))
-        self._joint_message.header.stamp = stamp
-        self._joint_vectors = []
-        for field in ("position", "velocity", "effort"):
-            values = array.array("d", bytes(8 * len(robot.joints)))
-            setattr(self._joint_message, field, values)
-            self._joint_vectors.append(np.frombuffer(getattr(self._joint_message, field)))
+        joints = JointState(name=list(robot.joints))
+        joints.header.stamp = stamp_mark()
+        joints.position, joints.velocity, joints.effort = ([mark(n * i + j) for j in range(n)] for i in range(3))
+        self._joint_message = PreparedMessage(joints, 3 * n)
+        self._joint_vectors = self._joint_message.values.reshape(3, n)
 
         self._imu = node.create_publisher(Imu, *TOPICS["imu"], QUEUE)
-        self._imu_message = Imu()
-        self._imu_message.header.stamp = stamp
-        self._imu_message.header.frame_id = tree.frame_of(tables.imu.site)
+        imu = Imu()
+        imu.header.stamp, imu.header.frame_id = stamp_mark(), tree.frame_of(tables.imu.site)
+        _mark_quaternion(imu.orientation, 0)
+        _mark_vector(imu.angular_velocity, 4)
+        _mark_vector(imu.linear_acceleration, 7)
         noise = max((profile.noise for profile in tables.actuators.values()), key=lambda noise: noise.gyroscope)
         for field, deviation in (
             ("orientation_covariance", noise.orientation),
             ("angular_velocity_covariance", noise.gyroscope),
             ("linear_acceleration_covariance", noise.accelerometer),
         ):
-            setattr(self._imu_message, field, _diagonal((deviation**2,) * 3))
+            setattr(imu, field, _diagonal((deviation**2,) * 3))
+        self._imu_message = PreparedMessage(imu, 10)
 
-        self._feet = self._wrenches(node, "feet", stamp, tree, (tables.feet.left.sole, tables.feet.right.sole))
-        self._hands = self._wrenches(node, "hands", stamp, tree, (tables.hands.left.site, tables.hands.right.site))
+        self._feet = self._wrenches(node, "feet", tree, (tables.feet.left.sole, tables.feet.right.sole))
+        self._hands = self._wrenches(node, "hands", tree, (tables.hands.left.site, tables.hands.right.site))
 
         pose_topic, odom_topic = TOPICS["pelvis"]
         self._pose = node.create_publisher(PoseStamped, pose_topic, QUEUE)
-        self._pose_message = PoseStamped()
-        self._pose_message.header.stamp = stamp
-        self._pose_message.header.frame_id = ODOM
+        pose = PoseStamped()
+        pose.header.stamp, pose.header.frame_id = stamp_mark(), ODOM
+        _mark_vector(pose.pose.position, 0)
+        _mark_quaternion(pose.pose.orientation, 3)
+        self._pose_message = PreparedMessage(pose, 7)
         self._odom = node.create_publisher(Odometry, odom_topic, QUEUE)
-        self._odom_message = Odometry(child_frame_id=tree.base_frame)
-        self._odom_message.header.stamp = stamp
-        self._odom_message.header.frame_id = ODOM
-        self._odom_message.pose.pose = self._pose_message.pose
+        odom = Odometry(child_frame_id=tree.base_frame)
+        odom.header.stamp, odom.header.frame_id = stamp_mark(), ODOM
+        odom.pose.pose = pose.pose
+        _mark_vector(odom.twist.twist.linear, 7)
+        _mark_vector(odom.twist.twist.angular, 10)
         # The Motion Manager's estimator says how sure it is; the gyroscope's noise is the IMU's.
-        self._pose_variance = _diagonal_view(self._odom_message.pose)
-        self._twist_variance = _diagonal_view(self._odom_message.twist)
-        self._twist_variance[3:] = noise.gyroscope**2
+        odom.pose.covariance = np.diag([mark(13 + i) for i in range(6)]).ravel()
+        odom.twist.covariance = _diagonal((*(mark(19 + i) for i in range(3)), *(noise.gyroscope**2,) * 3))
+        self._odom_message = PreparedMessage(odom, 22)
 
         self._battery = node.create_publisher(BatteryState, *TOPICS["battery"], 1)
         unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
@@ -141,10 +149,10 @@ class Publisher:
         self._battery_message.header.stamp = stamp
 
         # Work is spread over cycles: the n-th of these begins in the n-th cycle.
+        self._joints_every = max(1, round(rate / RATES["joints"]))
         self._due: list[tuple[int, int, Callable[[ValorEscherHWInterface], None]]] = []
         for offset, (name, publish) in enumerate(
             (
-                ("joints", self._publish_joints),
                 ("imu", self._publish_imu),
                 ("feet", self._publish_feet),
                 ("hands", self._publish_hands),
@@ -158,18 +166,19 @@ class Publisher:
 
     @staticmethod
     def _wrenches(
-        node: Node, name: str, stamp: Time, tree: KinematicTree, sites: tuple[str, str]
-    ) -> list[tuple[Any, WrenchStamped]]:
+        node: Node, name: str, tree: KinematicTree, sites: tuple[str, str]
+    ) -> list[tuple[Any, PreparedMessage]]:
         pairs = []
         for topic, site in zip(TOPICS[name], sites, strict=True):
             message = WrenchStamped()
-            message.header.stamp = stamp
-            message.header.frame_id = tree.frame_of(site)
-            pairs.append((node.create_publisher(WrenchStamped, topic, QUEUE), message))
+            message.header.stamp, message.header.frame_id = stamp_mark(), tree.frame_of(site)
+            _mark_vector(message.wrench.force, 0)
+            _mark_vector(message.wrench.torque, 3)
+            pairs.append((node.create_publisher(WrenchStamped, topic, QUEUE), PreparedMessage(message, 6)))
         return pairs
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
-        """Publish what is due in this cycle. Robot time is in the stamp already."""
+        """Publish what else is due in this cycle. Robot time is in the stamp already."""
         if self._clock:
             self._clock.publish(self._clock_message)
         cycle = self._cycle
@@ -178,21 +187,21 @@ class Publisher:
             if cycle % every == offset:
                 publish(hw)
 
-    def _publish_joints(self, hw: ValorEscherHWInterface) -> None:
+    def publish_joints(self, hw: ValorEscherHWInterface) -> None:
+        """Publish the joints' state if it is due: it waits for nothing but the measurement. Before ``publish``."""
+        if self._cycle % self._joints_every:
+            return
         measured = _measured(hw)
-        position, velocity, effort = self._joint_vectors
-        position[:] = measured.joint_position
-        velocity[:] = measured.joint_velocity
-        effort[:] = measured.joint_effort
-        self._joints.publish(self._joint_message)
+        vectors = self._joint_vectors
+        vectors[0], vectors[1], vectors[2] = measured.joint_position, measured.joint_velocity, measured.joint_effort
+        self._joints.publish(self._joint_message.serialized(self._stamp))
 
     def _publish_imu(self, hw: ValorEscherHWInterface) -> None:
-        measured, message = _measured(hw), self._imu_message
-        q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
-        q.w, q.x, q.y, q.z = measured.imu_orientation.tolist()
-        w.x, w.y, w.z = measured.imu_angular_velocity.tolist()
-        a.x, a.y, a.z = measured.imu_linear_acceleration.tolist()
-        self._imu.publish(message)
+        measured, values = _measured(hw), self._imu_message.values
+        values[:4] = measured.imu_orientation
+        values[4:7] = measured.imu_angular_velocity
+        values[7:] = measured.imu_linear_acceleration
+        self._imu.publish(self._imu_message.serialized(self._stamp))
 
     def _publish_feet(self, hw: ValorEscherHWInterface) -> None:
         measured = _measured(hw)
@@ -202,29 +211,26 @@ class Publisher:
         measured = _measured(hw)
         self._publish_wrenches(self._hands, measured.left_hand_wrench, measured.right_hand_wrench)
 
-    @staticmethod
-    def _publish_wrenches(pairs: list[tuple[Any, WrenchStamped]], left: Vector, right: Vector) -> None:
+    def _publish_wrenches(self, pairs: list[tuple[Any, PreparedMessage]], left: Vector, right: Vector) -> None:
         for (publisher, message), wrench in zip(pairs, (left, right), strict=True):
-            force, torque = message.wrench.force, message.wrench.torque
-            force.x, force.y, force.z, torque.x, torque.y, torque.z = wrench.tolist()
-            publisher.publish(message)
+            message.values[:] = wrench
+            publisher.publish(message.serialized(self._stamp))
 
     def _publish_pelvis(self, hw: ValorEscherHWInterface) -> None:
         motion = hw.motion
         if motion is None:
             return
-        position, orientation = self._pose_message.pose.position, self._pose_message.pose.orientation
-        position.x, position.y, position.z = motion.pelvis_position_in_odom.tolist()
-        orientation.w, orientation.x, orientation.y, orientation.z = motion.pelvis_orientation_in_odom.tolist()
-        self._pose.publish(self._pose_message)
-        twist = self._odom_message.twist.twist
-        linear = _into(motion.pelvis_orientation_in_odom, motion.pelvis_linear_velocity_in_odom)
-        twist.linear.x, twist.linear.y, twist.linear.z = linear
-        twist.angular.x, twist.angular.y, twist.angular.z = motion.pelvis_angular_velocity_in_pelvis.tolist()
-        self._pose_variance[:3] = motion.pelvis_position_variance
-        self._pose_variance[3:] = motion.pelvis_orientation_variance
-        self._twist_variance[:3] = motion.pelvis_linear_velocity_variance
-        self._odom.publish(self._odom_message)
+        pose, odom = self._pose_message.values, self._odom_message.values
+        odom[:3] = motion.pelvis_position_in_odom
+        odom[3:7] = motion.pelvis_orientation_in_odom
+        pose[:] = odom[:7]
+        self._pose.publish(self._pose_message.serialized(self._stamp))
+        odom[7:10] = _into(motion.pelvis_orientation_in_odom, motion.pelvis_linear_velocity_in_odom)
+        odom[10:13] = motion.pelvis_angular_velocity_in_pelvis
+        odom[13:16] = motion.pelvis_position_variance
+        odom[16:19] = motion.pelvis_orientation_variance
+        odom[19:] = motion.pelvis_linear_velocity_variance
+        self._odom.publish(self._odom_message.serialized(self._stamp))
 
     def _publish_transforms(self, hw: ValorEscherHWInterface) -> None:
         if hw.motion is not None:
