@@ -331,24 +331,39 @@ def _speed(message: JointSetpoints) -> float:
 
 
 def cost(node: bifrost.Node, seconds: float) -> dict[str, float]:
-    """CPU of the VRC over some seconds and its memory, as the kernel counts both."""
-    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics)
-    received = statistics.receive(PATIENCE)
-    statistics.close()
-    if received is None:
-        sys.exit("the VRC says nothing")
-    process = psutil.Process(received.message.pid)
-    switches = sum(process.num_ctx_switches())
-    process.cpu_percent()
+    """CPU of the VRC over some seconds and its memory, as the kernel counts both.
+
+    A loaded machine slows lockstep down, so CPU is also told per cycle, and what that would be at the full rate.
+    """
+    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics, queue=1000)
+
+    def newest() -> Statistics:
+        received = statistics.receive(PATIENCE)
+        if received is None:
+            sys.exit("the VRC says nothing")
+        return received.message
+
+    statistics.drain()
+    before = newest()
+    process = psutil.Process(before.pid)
+    used, switches, began = sum(process.cpu_times()[:2]), sum(process.num_ctx_switches()), time.monotonic()
     time.sleep(seconds)
+    statistics.drain()
+    after = newest()
+    used, passed = sum(process.cpu_times()[:2]) - used, time.monotonic() - began
+    cycles = after.cycles - before.cycles
     memory = process.memory_full_info()
+    statistics.close()
     return {
-        "CPU [% of a core]": process.cpu_percent(),
-        "RSS [MiB]": memory.rss / 2**20,
+        "CPU [% of a core]": 100.0 * used / passed,
+        "cycles [1/s]": cycles / passed,
+        "CPU a cycle [ms]": 1e3 * used / cycles,
+        f"CPU at {RATE:g} Hz [% of a core]": 100.0 * used / cycles * RATE,
+        "RSS (top's RES) [MiB]": memory.rss / 2**20,
         "PSS [MiB]": memory.pss / 2**20,
         "USS [MiB]": memory.uss / 2**20,
         "threads": process.num_threads(),
-        "context switches [1/s]": (sum(process.num_ctx_switches()) - switches) / seconds,
+        "context switches [1/s]": (sum(process.num_ctx_switches()) - switches) / passed,
     }
 
 
