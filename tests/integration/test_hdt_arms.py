@@ -63,7 +63,7 @@ class Bench:
         return self.hdt.measured.position
 
     def place(self, joint: str) -> int:
-        return self.hdt.joints.tolist().index(ROBOT.index[joint])
+        return int(np.flatnonzero(self.hdt.joints == ROBOT.index[joint])[0])
 
     def said(self) -> dict[str, str]:
         """Unit → what is wrong with it."""
@@ -78,12 +78,10 @@ class Bench:
         return bool(np.abs(self.position - self.wanted).max() < tolerance)
 
     def fail(self, unit: str, fault: str, duration: float = 0.0) -> None:
-        with_node = self.node.client(FAULT.name, FaultRequest, FaultReply)
-        try:
-            reply = with_node.call(FaultRequest(device="hdt", unit=unit, fault=fault, duration=duration), 10.0)
-            assert reply.accepted, reply.reason
-        finally:
-            with_node.close()
+        client = self.node.client(FAULT.name, FaultRequest, FaultReply)
+        reply = client.call(FaultRequest(device="hdt", unit=unit, fault=fault, duration=duration), 10.0)
+        client.close()
+        assert reply.accepted, reply.reason
 
     def well(self) -> None:
         """No faults, and everything where it is wanted."""
