@@ -83,7 +83,7 @@ def plan(request: Request) -> Plan:
             f"{robot.folder / 'robot.yaml'}: devices: none; expected those of the robot (profile {request.profile})"
         )
     initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
-    return Plan(profile, settings, initial_mode or None)
+    return Plan(profile.suiting(robot), settings, initial_mode or None)
 
 
 def _bag(file: Path | None) -> Path | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from msgspec import Meta, field
+from msgspec import Meta, field, structs
 
 from valor_common.instance import ClockMode, Variant
 from valor_common.processes import BY_NAME, Process
+from valor_common.robot import RobotDescription
 from valor_common.table import NonNegative, Table, read
 
 
@@ -51,6 +52,11 @@ class Profile(Table, kw_only=True):
             ConfigurationError: names the file, the key and what was expected.
         """
         return read(cls, file)
+
+    def suiting(self, robot: RobotDescription) -> Profile:
+        """The profile without the processes that serve devices which the robot does not have."""
+        kinds = {"", *(device.kind for device in robot.tables.devices.values())}
+        return structs.replace(self, processes=tuple(n for n in self.processes if BY_NAME[n].device in kinds))
 
     @property
     def table(self) -> tuple[Process, ...]:

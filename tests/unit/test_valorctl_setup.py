@@ -8,6 +8,7 @@ import socket
 from collections.abc import Iterable
 from pathlib import Path
 
+import msgspec
 import pytest
 import yaml
 from hypothesis import given
@@ -18,6 +19,7 @@ from valor_common import resources
 from valor_common.errors import ConfigurationError, ValorError
 from valor_common.instance import Instance, Settings
 from valor_common.processes import BY_NAME, PROCESSES, Process
+from valor_common.robot import RobotDescription
 from valor_common.service import EXIT_CONFIGURATION
 from valorctl import instance_setup, supervisor_config
 from valorctl.instance_setup import DOMAINS, Request, choose_domain, discovery_port, domain_is_free, domains_taken
@@ -96,6 +98,14 @@ def test_every_process_of_a_profile_starts_some_time(profile: str) -> None:
         able = names(free(table, ready, present))
         assert set(able) > set(ready), f"{set(present) - set(ready)} wait for each other"
         ready = able
+
+
+def test_processes_for_devices_that_the_robot_does_not_have_are_left_out() -> None:
+    profile = Profile(description="", processes=("bifrostd", "hdt_driver", "hdt_bridge", "comms_manager"))
+    escher = RobotDescription.load(resources.robot_folder("escher"))
+    assert profile.suiting(escher).processes == profile.processes
+    tables = msgspec.structs.replace(escher.tables, devices={})
+    assert profile.suiting(RobotDescription(escher.folder, tables)).processes == ("bifrostd", "comms_manager")
 
 
 @given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))
