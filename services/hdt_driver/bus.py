@@ -13,6 +13,7 @@ from valor_common.devices import hdt_bus
 from valor_common.devices.table import HdtLimb
 
 MISSES = 15  # cycles without an answer, after which a segment is silent
+AT_ONCE = 64  # frames that have come already are taken when a cycle is over, at most
 INQUIRE_EVERY = 0.2  # whom one does not know [s]
 
 _log = logging.getLogger("hdt_driver")
@@ -113,9 +114,12 @@ class ModuleBus:
         Returns:
             That limb; None when the time has come.
         """
-        while (remaining := until - time.monotonic()) > 0.0:
+        late = 0
+        while late < AT_ONCE:
+            remaining = until - time.monotonic()
+            late += remaining <= 0.0
             try:
-                frame = self._bus.recv(remaining)
+                frame = self._bus.recv(max(0.0, remaining))
             except can.CanError:
                 self.errors += 1
                 continue
