@@ -7,10 +7,10 @@ import logging
 import os
 import select
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from struct import error as StructError  # noqa: N812
+from time import monotonic_ns
 from typing import TYPE_CHECKING, Any
 
 import zmq
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from bifrost.node import Node
 
 _log = logging.getLogger("bifrost")
+_NOBLOCK = int(zmq.NOBLOCK)
 _WARNINGS = 20  # a subscriber's, at most; the rest is counted
 _PUBLISHERS = 1000  # whose last sequence is remembered
 _FUTURE = 1_000_000  # a stamp this far ahead of the clock it was taken from is none [ns]
@@ -138,7 +139,7 @@ class Intake:
         """A message if there is one."""
         while True:
             try:
-                frame = self._recv(zmq.NOBLOCK)
+                frame = self._recv(_NOBLOCK)
             except zmq.Again:
                 return None
             checked = self._take(frame)
@@ -181,7 +182,7 @@ class Intake:
             if last and sequence - last > (stamp - stream.stamp) // _QUICKEST + _BURST:
                 self._reject("a sequence that is too far ahead")
                 return None
-        if stamp < stream.stamp or (self._one_clock and stamp > time.monotonic_ns() + _FUTURE):
+        if stamp < stream.stamp or (self._one_clock and stamp > monotonic_ns() + _FUTURE):
             self._reject("a stamp older than the one before, or of the future")
             return None
         if not frame.startswith(stream.origin, self._length):

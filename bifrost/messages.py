@@ -20,17 +20,16 @@ UINT8 = np.dtype(np.uint8)
 _view = np.frombuffer
 
 
-def _array_to_bytes(value: object) -> bytes:
-    if isinstance(value, np.ndarray):
-        return value.tobytes()
-    raise TypeError(f"{type(value).__name__} cannot be a message field")
+def _reals(_annotation: Any, value: Any) -> Any:
+    return _view(value)  # float64 by itself; raises TypeError on all but bytes
 
 
-def _array_from_bytes(annotation: Any, value: object) -> npt.NDArray[Any]:
-    if type(value) is not bytes:
-        raise ValueError("expected an array as bytes")
-    # Identity first: comparing the two takes as long as making the array.
-    return _view(value, FLOAT64 if annotation is Float64Array or annotation == Float64Array else UINT8)
+def _octets(_annotation: Any, value: Any) -> Any:
+    return _view(value, UINT8)
+
+
+def _either(annotation: Any, value: Any) -> Any:
+    return _view(value, FLOAT64 if annotation == Float64Array else UINT8)
 
 
 class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False, eq=False):
@@ -53,9 +52,18 @@ class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=Fa
 
 M = TypeVar("M", bound=Message)
 
-ENCODER = msgspec.msgpack.Encoder(enc_hook=_array_to_bytes)
+# What msgspec does not know is asked for its bytes, in C order, and raises TypeError if it is no array.
+ENCODER = msgspec.msgpack.Encoder(enc_hook=np.ndarray.tobytes)
 
 
-def decoder(message_type: type[M]) -> msgspec.msgpack.Decoder[M]:
-    """A decoder that accepts what is exactly of this type, and raises ``ValueError`` or its kin on all else."""
-    return msgspec.msgpack.Decoder(message_type, dec_hook=_array_from_bytes)
+def decoder(message_type: type[M], reals: bool, octets: bool) -> msgspec.msgpack.Decoder[M]:
+    """A decoder that accepts what is exactly of this type, and raises ``ValueError`` or its kin on all else.
+
+    Args:
+        message_type: what it decodes.
+        reals: whether there is a ``Float64Array`` anywhere in it.
+        octets: whether there is a ``Uint8Array``: telling the two apart takes a third of the time that an array takes.
+    """
+    return msgspec.msgpack.Decoder(
+        message_type, dec_hook=_either if reals and octets else _octets if octets else _reals
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import secrets
 import threading
-import time
+from time import monotonic_ns
 from typing import TYPE_CHECKING, Generic
 
 import zmq
@@ -19,6 +19,9 @@ from bifrost.messages import M
 if TYPE_CHECKING:
     from bifrost.discovery import Discovery
     from bifrost.node import Node
+
+_NOBLOCK = int(zmq.NOBLOCK)
+_MAX_SIZE = wire.MAX_MESSAGE_SIZE
 
 
 class Outlet:
@@ -39,7 +42,7 @@ class Outlet:
     def send(self, frame: bytearray) -> None:
         """Give a frame to whoever subscribes; never blocks."""
         with self.lock:
-            self._send(frame, zmq.NOBLOCK)
+            self._send(frame, _NOBLOCK)
 
 
 class Latch(Outlet):
@@ -131,13 +134,16 @@ class Publisher(Generic[M]):
         if type(message) is not self._type:
             raise TypeError(f"{self.topic}: expected {self._type.__name__}, got {type(message).__name__}")
         frame = self._frame
-        self._encode_into(message, frame, self._payload)
+        try:
+            self._encode_into(message, frame, self._payload)
+        except TypeError as error:
+            raise TypeError(f"{self.topic}: {error}") from None
         if self._closed:
             raise Error(f"{self.topic}: the publisher is closed")
         sequence = self._sequence + 1
-        self._pack_into(frame, self._variable, sequence, time.monotonic_ns())
-        if len(frame) > wire.MAX_MESSAGE_SIZE:
-            raise Error(f"{self.topic}: a message of {len(frame)} bytes; at most {wire.MAX_MESSAGE_SIZE}")
+        self._pack_into(frame, self._variable, sequence, monotonic_ns())
+        if len(frame) > _MAX_SIZE:
+            raise Error(f"{self.topic}: a message of {len(frame)} bytes; at most {_MAX_SIZE}")
         self._send(frame)
         self._sequence = sequence
         return sequence
