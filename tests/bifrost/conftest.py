@@ -21,10 +21,26 @@ def bare_network(tmp_path: Path) -> Iterator[BifrostNetwork]:
 
 
 @pytest.fixture
-def net(bare_network: BifrostNetwork) -> BifrostNetwork:
-    """A network whose daemon runs."""
+def own_net(bare_network: BifrostNetwork) -> BifrostNetwork:
+    """The same, its daemon running: to be killed, and otherwise ill-treated."""
     bare_network.start_daemon()
     return bare_network
+
+
+@pytest.fixture(scope="session")
+def lasting_network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BifrostNetwork]:
+    """A network whose daemon runs as long as the tests do."""
+    made = BifrostNetwork(tmp_path_factory.mktemp("network"))
+    made.start_daemon()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def net(lasting_network: BifrostNetwork) -> Iterator[BifrostNetwork]:
+    """A network whose daemon runs, and knows nobody else: what a test starts in it ends with the test."""
+    yield lasting_network
+    lasting_network.dismiss()
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
@@ -183,13 +184,29 @@ class BifrostNetwork:
         self._peers.append(Peer(self.environment(computer), *arguments, within=self._within(computer)))
         return self._peers[-1]
 
-    def close(self) -> None:
-        """End everything."""
+    def dismiss(self) -> None:
+        """End the nodes and peers; the daemons go on, and know nobody then."""
+        self._end_members()
+        for computer in self.daemons:
+            until(functools.partial(self._nobody, computer), f"the daemon of {computer} knows nobody", 20.0)
+
+    def _end_members(self) -> None:
         for node in self._nodes:
             node.close()
         for peer in self._peers:
             if peer.alive():
                 peer.kill()
+        self._nodes.clear()
+        self._peers.clear()
+
+    def _nobody(self, computer: str) -> bool:
+        info = bifrost.daemon_alive(self.on(computer), 5.0)
+        assert info is not None, self.log.read_text()
+        return info.nodes == 0
+
+    def close(self) -> None:
+        """End everything."""
+        self._end_members()
         for daemon in self.daemons.values():
             daemon.terminate()
         for daemon in self.daemons.values():

@@ -25,22 +25,22 @@ def names(node: bifrost.Node) -> set[str]:
     return set(node.graph(timeout=10.0).nodes)
 
 
-def test_data_flows_while_the_daemon_is_dead_and_all_register_again(net: BifrostNetwork) -> None:
-    net.peer("publish", "lab/sample", "100")
-    net.peer("serve", "lab/ask")
-    node = net.node("test")
+def test_data_flows_while_the_daemon_is_dead_and_all_register_again(own_net: BifrostNetwork) -> None:
+    own_net.peer("publish", "lab/sample", "100")
+    own_net.peer("serve", "lab/ask")
+    node = own_net.node("test")
     subscriber = node.subscriber("lab/sample", Sample, queue=10_000)
     client = node.client("lab/ask", Question, Answer)
     assert subscriber.receive(timeout=10.0)
     assert client.call(Question("open", 0.0), timeout=10.0).handled == 1
-    net.kill_daemon()
+    own_net.kill_daemon()
     received = [subscriber.receive(timeout=5.0) for _ in range(100)]
     assert None not in received
     assert client.call(Question("open", 0.0), timeout=10.0).handled == 2
-    late = net.node("late")
+    late = own_net.node("late")
     late_subscriber = late.subscriber("lab/sample", Sample)
     assert late_subscriber.receive(timeout=0.2) is None
-    net.start_daemon()
+    own_net.start_daemon()
     assert late_subscriber.receive(timeout=10.0) is not None
     until(lambda: names(node) == {"publish_peer", "serve_peer", "test", "late"}, "all have registered again")
     while subscriber.drain():
@@ -49,14 +49,14 @@ def test_data_flows_while_the_daemon_is_dead_and_all_register_again(net: Bifrost
     assert subscriber.drops == 0
 
 
-def test_a_subscriber_is_not_cut_off_by_a_daemon_that_knows_nobody_yet(net: BifrostNetwork) -> None:
-    peer = net.peer("publish", "lab/sample", "100")
-    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=10_000)
+def test_a_subscriber_is_not_cut_off_by_a_daemon_that_knows_nobody_yet(own_net: BifrostNetwork) -> None:
+    peer = own_net.peer("publish", "lab/sample", "100")
+    subscriber = own_net.node("test").subscriber("lab/sample", Sample, queue=10_000)
     assert subscriber.receive(timeout=10.0)
-    net.kill_daemon()
+    own_net.kill_daemon()
     peer.signal(signal.SIGSTOP)  # it cannot register again
-    net.start_daemon()
-    watching = net.node("watching")
+    own_net.start_daemon()
+    watching = own_net.node("watching")
     until(lambda: {"test", "watching"} <= names(watching), "the others have registered again")
     subscriber.drain()
     peer.signal(signal.SIGCONT)
@@ -100,16 +100,16 @@ def test_the_graph_names_everything(net: BifrostNetwork) -> None:
     assert graph.schemas[publisher.hashes[0]] == bifrost.codec(Sample).schema
 
 
-def test_the_daemon_tells_how_it_fares(net: BifrostNetwork) -> None:
-    info = bifrost.daemon_alive(net.network, timeout=5.0)
+def test_the_daemon_tells_how_it_fares(own_net: BifrostNetwork) -> None:
+    info = bifrost.daemon_alive(own_net.network, timeout=5.0)
     assert info is not None
-    assert info.pid == net.daemon.pid
+    assert info.pid == own_net.daemon.pid
     assert info.uptime > 0.0
     assert 1.0 < info.memory_mib < 200.0
-    net.kill_daemon()
-    assert bifrost.daemon_alive(net.network, timeout=0.2) is None
+    own_net.kill_daemon()
+    assert bifrost.daemon_alive(own_net.network, timeout=0.2) is None
     with pytest.raises(bifrost.TimeoutError, match="does not answer"):
-        net.node("test").graph(timeout=0.1)
+        own_net.node("test").graph(timeout=0.1)
 
 
 def test_the_daemon_survives_what_a_member_sends(net: BifrostNetwork) -> None:

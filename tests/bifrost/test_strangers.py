@@ -114,6 +114,7 @@ class Party:
         self.pids = (self.net.daemon.pid, self.publisher.pid, self.server.pid)
         self.ports = [port for pid in self.pids for port in ports(pid)]
         assert len(self.ports) == len(self.pids)
+        self.settled = self.descriptors()
 
     def tap(self, port: int) -> Tap:
         """A proxy before one of the ports."""
@@ -142,11 +143,11 @@ class Party:
     @contextlib.contextmanager
     def nothing_grows(self) -> Iterator[None]:
         """Descriptors are given back and memory is not eaten by what happens within."""
-        descriptors, memory = self.descriptors(), self.memory()
+        memory = self.memory()
         yield
         until(
-            lambda: all(now <= then for now, then in zip(self.descriptors(), descriptors, strict=True)),
-            f"descriptors are back to {descriptors}",
+            lambda: all(now <= then for now, then in zip(self.descriptors(), self.settled, strict=True)),
+            f"descriptors are back to {self.settled}",
             40.0,
         )
         grown = [now - then for now, then in zip(self.memory(), memory, strict=True)]
@@ -155,19 +156,23 @@ class Party:
     def record(self, kind: int, port: int, act: Callable[[zmq.Socket[bytes]], object]) -> bytes:
         """What a member says on the wire when it does something."""
         tap = self.tap(port)
-        socket = self.net.node("recorded").connecting_socket(kind)
-        socket.connect(tap.endpoint)
-        act(socket)
-        socket.close()
+        with bifrost.Node("recorded", network=self.net.network) as node:
+            socket = node.connecting_socket(kind)
+            socket.connect(tap.endpoint)
+            act(socket)
+            socket.close()
         return bytes(tap.said)
 
 
-@pytest.fixture
-def party(net: BifrostNetwork) -> Iterator[Party]:
+@pytest.fixture(scope="module")
+def party(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Party]:
+    net = BifrostNetwork(tmp_path_factory.mktemp("party"))
+    net.start_daemon()
     made = Party(net, net.peer("publish", "lab/sample", "100"), net.peer("serve", "lab/ask"))
     yield made
     for tap in made.taps:
         tap.close()
+    net.close()
 
 
 def listened(socket: zmq.Socket[bytes]) -> None:
@@ -295,9 +300,7 @@ def test_resets_and_flipped_bits_within_frames(party: Party) -> None:
     question = b"lab/ask\0" + bytes(200_000)
     handshake = len(b"".join(split(party.record(zmq.DEALER, serving, lambda s: (s.send(b""), s.poll(300))))[:3]))
     chance = random.Random(1)
-    member = party.net.node("member")
-    until(lambda: "member" in member.graph().nodes, "the member is known")
-    with party.nothing_grows():
+    with party.nothing_grows(), bifrost.Node("member", network=party.net.network) as member:
         for number in range(20):
             tap = party.tap(serving)
             at = handshake + chance.randrange(len(question))
