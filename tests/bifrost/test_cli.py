@@ -28,10 +28,11 @@ from tests.bifrost.network import (
 
 
 @pytest.fixture(autouse=True)
-def joined(bare_network: BifrostNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verbs run in this process, in the network."""
-    monkeypatch.setenv("BIFROST_NETWORK", str(bare_network.file))
-    monkeypatch.setenv("BIFROST_KEYS", str(bare_network.keys))
+def joined(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verbs run in this process, in the test's network."""
+    network = request.getfixturevalue("net" if "net" in request.fixturenames else "bare_network")
+    monkeypatch.setenv("BIFROST_NETWORK", str(network.file))
+    monkeypatch.setenv("BIFROST_KEYS", str(network.keys))
 
 
 def run(*arguments: str) -> str:
