@@ -22,7 +22,7 @@ JUMP = 0.5  # of an encoder [rad]
 FEVER = 90.0  # [°C]
 WEAK_SUPPLY = 40.0 / 48.0  # of the nominal voltage
 ROOM, FULL_TORQUE_HEATING, THERMAL_TIME = 32.0, 30.0, 60.0  # [°C], [K], [s]
-FEELING = 0.005  # between looks at the joints, when nobody asks [s]
+FEELING = 0.02  # between looks at the joints, when nobody asks [s]
 
 
 class _JointServo:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from motion_manager.joint_reference import Joints
 from motion_manager.whole_body import WholeBodyCommand
 from valor_common.messages import JointMode, Motor
+from valor_common.model import WHOLE_BODY_GROUPS
 from valor_common.robot import FloatVector, RobotDescription
 
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
@@ -28,7 +29,8 @@ class Drive:
 class MotorCommand:
     """The vectors of a Motor, (n,) each, filled anew every period by one of the methods below.
 
-    Force-controlled and impedance-controlled joints are *compliant*; the rest have the device's own position servo.
+    Force-controlled and impedance-controlled joints are *compliant*; the rest have a position servo of their own. Those
+    of them that the Whole-Body Controller moves get the set-points that it integrates (thesis 3.4.2).
 
     Attributes:
         force: which joints are driven by force alone in operation.
@@ -43,6 +45,9 @@ class MotorCommand:
         self.force: Joints = control == "force"
         self.impedance: Joints = control == "impedance"
         self._compliant: Joints = self.force | self.impedance
+        moved = [robot.index[name] for group in WHOLE_BODY_GROUPS for name in robot.tables.groups[group]]
+        self._led: Joints = self._compliant.copy()  # by the Whole-Body Controller
+        self._led[moved] = True
         self._effort_limit = robot.effort_limit
         stiffness, damping, nothing = robot.servo_stiffness, robot.servo_damping, np.zeros(n)
         servo, force, off = JointMode.POSITION, JointMode.FORCE, JointMode.OFF
@@ -91,13 +96,13 @@ class MotorCommand:
 
         Args:
             command: what the Whole-Body Controller wants.
-            position: (n,) the reference that ``hold`` had, and that joints with a servo of their own go on with [rad].
+            position: (n,) the reference that ``hold`` had, and that joints which it does not move go on with [rad].
             velocity: (n,) likewise [rad/s].
             effort: (n,) likewise [N·m].
             share: of the Whole-Body Controller, 0 to 1.
         """
         drive = self._operation
-        compliant_position, compliant_velocity, compliant_effort = command.position, command.velocity, command.effort
+        led_position, led_velocity, compliant_effort = command.position, command.velocity, command.effort
         if share < 1.0:
             rest = 1.0 - share
             servo = self._servo
@@ -106,13 +111,13 @@ class MotorCommand:
                 np.where(self.force, rest * servo.stiffness, servo.stiffness),
                 np.where(self.force, rest * servo.damping, servo.damping),
             )
-            compliant_position = np.where(self.force, position, share * command.position + rest * position)
-            compliant_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
+            led_position = np.where(self.force, position, share * command.position + rest * position)
+            led_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
             compliant_effort = share * command.effort + rest * effort
         self._set(
             drive,
-            np.where(self._compliant, compliant_position, position),
-            np.where(self._compliant, compliant_velocity, velocity),
+            np.where(self._led, led_position, position),
+            np.where(self._led, led_velocity, velocity),
             self._compliant * compliant_effort,
         )
 

@@ -75,6 +75,8 @@ class ClosedLoop:
         self.sequence = 0
         control = [joint.control for joint in robot.tables.joints.values()]
         self._mode = np.array([MODES[word] for word in control], dtype=np.uint8)
+        self._led = np.zeros(n, dtype=bool)  # by the controller
+        self._led[model.joint_indices] = True
         impedance = self._mode == JointMode.IMPEDANCE
         self._stiffness = np.where(impedance, robot.servo_stiffness, 0.0)
         self._damping = np.where(impedance, robot.servo_damping, 0.0)
@@ -113,7 +115,7 @@ class ClosedLoop:
         self.tick_times.append(perf_counter() - began)
         if reason is not None and self.fall is None:
             self.fall, self.fall_time = reason, self.time
-        position = np.where(self._mode == JointMode.POSITION, self.reference.position, command.position)
+        position = np.where(self._led, command.position, self.reference.position)
         self._obey(self._mode, position, command.velocity, command.effort, self._stiffness, self._damping)
 
     def limp(self) -> None:
