@@ -20,6 +20,7 @@ _AXES = ("x", "y", "z")
 _TURNS = ("roll", "pitch", "yaw")
 _PANEL = (420, 560)  # [pixels]
 _DPI = 100
+_MIDDLE = np.array([0.0, -0.12, 1.12])  # of the pictures, on the ground below the pelvis: room for a right arm [m]
 
 
 def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: Path) -> Path:
@@ -37,7 +38,7 @@ def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: 
             axes.plot(at, values[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
         if row == 0:
             axes.plot(at, np.linalg.norm(values, axis=1), color=style.GREY, linewidth=0.9, label="distance")
-        _finish(axes, at, values)
+        _finish(axes, at, np.array([values.min(), np.linalg.norm(values, axis=1).max() if row == 0 else values.max()]))
         bands(axes, at, track.behavior)
         _mark(axes, track)
         handles = axes.get_legend_handles_labels()[0]
@@ -127,7 +128,7 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
         images = []
         for motion in chosen:
             posture = recording.posture(motion.end)
-            scene.look_at(np.array([*posture.pelvis_position[:2], 1.0]), distance=2.5, azimuth=140.0)
+            scene.look_at(posture.pelvis_position * (1.0, 1.0, 0.0) + _MIDDLE, distance=3.1, azimuth=140.0)
             images.append(scene.draw(posture))
     header = 84
     figure = style.figure(len(chosen) * width / _DPI, (height + header) / _DPI, _DPI)
@@ -139,8 +140,8 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
         off = 100.0 * float(track.total_error.distance[rest].mean())
         middle, top = (i + 0.5) / len(chosen), share + (1.0 - share) * 0.66
         figure.text(middle, top, motion.name, ha="center", va="center", fontsize=15, color=style.INK, weight="bold")
-        figure.text(middle, top - (1.0 - share) * 0.36, f"hand off by {off:.1f} cm, {moved:.1f} cm of it by the torso",
-                    ha="center", va="center", fontsize=9.5, color=style.GREY)  # fmt: skip
+        text = f"hand off by {off:.1f} cm; the torso gave way by {moved:.1f} cm"
+        figure.text(middle, top - (1.0 - share) * 0.36, text, ha="center", va="center", fontsize=9.5, color=style.GREY)
     return style.save(figure, file, _DPI)
 
 
