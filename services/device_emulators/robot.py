@@ -16,8 +16,8 @@ from valor_simulation.plant import Plant
 from valor_simulation.sensors import Sensors
 
 Places = npt.NDArray[np.intp]
-STALENESS = 0.012  # of the newest command to the drives that carry it, on the wall, from which on time stands still [s]
-PATIENCE = 1.0  # and until when [s]
+STALENESS = 0.012  # of the newest command to the drives that carry it, from which on time stands still [s of the robot]
+PATIENCE = 1.0  # and until when [s on the wall]
 
 
 class SimulatedRobot:
@@ -52,7 +52,8 @@ class SimulatedRobot:
         self._carries = np.zeros(n, dtype=bool)
         self._carries[self._carrying] = True
         self._measured: Proprioceptor | None = None
-        self._commanded: float | None = None  # when commands to what carries it came last, on the wall [s]
+        # When commands to what carries it came last, in the robot's time and the wall's [s].
+        self._commanded: tuple[float, float] | None = None
         self.released = not carrying
         self.time = 0.0
 
@@ -93,7 +94,7 @@ class SimulatedRobot:
         motor.damping[joints] = damping
         self._changed = True
         if self._carries[joints[0]]:
-            self._commanded = time.monotonic()
+            self._commanded = self.time, time.monotonic()
 
     def hold(self, joints: Places) -> None:
         """Have the drives of joints hold them where their encoders say they are, on the joints' own servos."""
@@ -126,4 +127,6 @@ class SimulatedRobot:
         A computer that stalls is to slow the world down, not to fell the robot; one that ended leaves it to the drives'
         watchdogs.
         """
-        return self._commanded is not None and STALENESS < time.monotonic() - self._commanded < PATIENCE
+        if self._commanded is None or self.time - self._commanded[0] <= STALENESS:
+            return False
+        return time.monotonic() - self._commanded[1] < PATIENCE

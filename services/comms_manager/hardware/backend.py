@@ -80,9 +80,8 @@ class Hardware(Backend):
         self._admitted = 0
         self._motor_sequence = 0
         self._held: FloatVector | None = None
-        self._passed = time.monotonic_ns()  # when the newest states were taken
-        self._time = self._passed - context.settings.epoch  # robot time of them [ns]
-        self._lost = False  # the leg controllers' clock is: time passes by the wall
+        self._time = time.monotonic_ns() - context.settings.epoch  # robot time of the newest states [ns]
+        self._lost = False  # the leg controllers' clock is: a period is a period
         self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
         self._elapsed = self._reference.elapsed if self._reference else 0
         self._position, self._velocity, self._effort = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -169,11 +168,11 @@ class Hardware(Backend):
                 self._lost = True
                 break
             self._wait(commands, lacking)
-        now = time.monotonic_ns()
-        self._time += now - self._passed if reference is None or self._lost else elapsed
-        self._passed = now
+        if reference is None or self._lost:
+            elapsed = round(1e9 * period)
         if reference is not None:
             self._elapsed = reference.elapsed
+        self._time += elapsed
 
     def _hand_out(self, commands: Commands) -> None:
         if commands.silent:

@@ -73,16 +73,15 @@ class SeriesElastic(CanDevice):
         self._encoder, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
         self._raw = np.zeros(m)  # what the encoders say, believed or not
         self._commands = np.zeros(len(self._controllers), dtype=can_frames.COMMAND_TYPE)
-        axes = self._commands["axis"].reshape(-1)
+        # Views of (controllers, axes), and where each joint is in them.
+        axes = self._commands["axis"]
         self._axis = {field: axes[field] for field in ("position", "velocity", "effort", "stiffness", "damping")}
-        self._mode = self._commands["mode"].reshape(-1)
-        self._slots = np.array(
-            [
-                can_frames.AXES * k + axis
-                for k, unit in enumerate(self._controllers.values())
-                for axis in range(len(unit.rows))
-            ],
-            dtype=np.intp,
+        self._mode = self._commands["mode"]
+        self._slots = tuple(
+            np.array(
+                [(k, axis) for k, unit in enumerate(self._controllers.values()) for axis in range(len(unit.rows))],
+                dtype=np.intp,
+            ).T
         )
         self._sent: JointCommands | None = None
         self._enabled = False
@@ -206,7 +205,7 @@ class SeriesElastic(CanDevice):
     def _hold_by_encoder(self, unit: _Controller) -> None:
         """Have joints whose encoder jumped stay: the controller's servo goes by the same encoder, wherever that is."""
         for row in unit.jumped:
-            slot = self._slots[row]
+            slot = self._slots[0][row], self._slots[1][row]
             if self._mode[slot] != JointMode.OFF:
                 self._mode[slot] = JointMode.POSITION
                 self._axis["position"][slot] = self._raw[row]
