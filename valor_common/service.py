@@ -24,6 +24,7 @@ import bifrost
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
 from valor_common.messages import Statistics
+from valor_common.processes import BY_NAME
 from valor_common.robot import RobotDescription
 from valor_common.topics import STATISTICS
 
@@ -42,6 +43,8 @@ class Context:
         self.name = name
         self.instance = instance
         self.settings: Settings = instance.settings()
+        if self.settings.variant == "hardware":
+            _take_priority(BY_NAME[name].priority)
         self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
         self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
@@ -53,6 +56,12 @@ class Context:
     def __exit__(self, *exception: object) -> None:
         self.statistics.state("stopping")
         self.node.close()
+
+
+def _take_priority(niceness: int) -> None:
+    """Go before other processes, where that is granted: a robot does not wait until somebody's compiler is done."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
 class Service(Protocol):

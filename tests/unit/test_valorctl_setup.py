@@ -146,10 +146,14 @@ def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
 
 def test_the_profiles_that_come_with_us_are_valid() -> None:
     files = sorted((Path(resources.profile_file("sim"))).parent.glob("*.yaml"))
-    assert [file.stem for file in files] == ["bifrost", "sim"]
-    daemon, robot = (Profile.load(file) for file in files)
-    assert robot.initial_mode == "stand"
-    assert [p.name for p in robot.table] == list(BY_NAME)
+    assert [file.stem for file in files] == ["bifrost", "hardware", "sim"]
+    daemon, hardware, simulation = (Profile.load(file) for file in files)
+    assert hardware.initial_mode == simulation.initial_mode == "stand"
+    assert [p.name for p in hardware.table] == list(BY_NAME)
+    assert {p.name for p in hardware.table} - {p.name for p in simulation.table} == {
+        "device_emulators", "hdt_driver", "hdt_bridge",
+    }  # fmt: skip
+    assert (hardware.variant, simulation.variant) == ("hardware", "simulation")
     assert daemon.initial_mode is None
     assert [p.name for p in daemon.table] == ["bifrostd"]
 

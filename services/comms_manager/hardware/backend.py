@@ -83,7 +83,7 @@ class Hardware(Backend):
         self._time = time.monotonic_ns() - context.settings.epoch  # robot time of the newest states [ns]
         self._lost = False  # the leg controllers' clock is: a period is a period
         self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
-        self._elapsed = self._reference.elapsed if self._reference else 0
+        self._begin()
         self._position, self._velocity, self._effort = np.zeros(n), np.zeros(n), np.zeros(n)
         self._imu = ImuMeasurement(0, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
         self._wrenches = {place: np.zeros(6) for place in ("left_foot", "right_foot", "left_hand", "right_hand")}
@@ -109,6 +109,19 @@ class Hardware(Backend):
             thread = threading.Thread(target=self._run, args=(device,), name=device.name, daemon=True)
             thread.start()
             self._threads.append(thread)
+
+    def _begin(self) -> None:
+        """Have the devices sample twice: the time by the leg controllers' clock begins with that."""
+        for _ in range(2):
+            self._sample()
+        self._elapsed = self._reference.elapsed if self._reference else 0
+        self._time = time.monotonic_ns() - self._context.settings.epoch
+
+    def _sample(self) -> None:
+        for device in self._synchronous:
+            device.request_states()
+        for device in self._synchronous:
+            device.gathered.wait(2.0 * GATHERING)
 
     def _run(self, device: Device) -> None:
         """A device's thread; one that ends too early is seen as silence, and told here."""
@@ -152,10 +165,7 @@ class Hardware(Backend):
         """
         period, reference, began = self._robot.control_period, self._reference, time.monotonic()
         while True:
-            for device in self._synchronous:
-                device.request_states()
-            for device in self._synchronous:
-                device.gathered.wait(2.0 * GATHERING)
+            self._sample()
             if reference is None:
                 break
             elapsed = reference.elapsed - self._elapsed

@@ -58,6 +58,10 @@ _HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x, of a vector
 _HALF_TURN_BOTH = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion w, x, y, z, on both sides
 
 
+class NoAnswerError(DeviceError):
+    """The sensor does not answer a command."""
+
+
 class MicroStrain(Device):
     """One sensor, alone on its port."""
 
@@ -182,7 +186,7 @@ class MicroStrain(Device):
                             f"with {acknowledge[1]:#04x}; expected {self._wanted()}"
                         )
                     return fields
-        raise DeviceError(f"{self.name}: no answer within {tries * ANSWER_TIME:g} s; expected {self._wanted()}")
+        raise NoAnswerError(f"{self.name}: no answer within {tries * ANSWER_TIME:g} s; expected {self._wanted()}")
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 
@@ -205,6 +209,8 @@ class MicroStrain(Device):
             except (serial.SerialException, OSError):
                 self._disconnect()
                 self.tell([Ailment(self.name, Fault.UNPLUGGED, f"{self._path} is gone")])
+            except NoAnswerError:
+                continue  # it is silent, and told to be
             except DeviceError as error:
                 if self._path.exists():
                     self.tell([Ailment(self.name, Fault.FAULTY, str(error).removeprefix(f"{self.name}: "))])

@@ -47,7 +47,7 @@ class _Controller(CanUnit):
         self.jumped: list[int] = []  # rows whose encoder cannot be believed any more
         self.status = 0
         self.clock = 0  # [µs], of its newest state
-        self.synced = 0  # which SYNC that answered
+        self.synced = -1  # which SYNC that answered
         self.known = True  # that this is the unit it must be; not after it had lost its power
 
 

@@ -1,0 +1,181 @@
+"""The driver of the motor controllers: what it sends to whom, and which positions it believes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
+from comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
+from valor_common.devices import can_frames
+from valor_common.devices.can_frames import Status
+from valor_common.devices.end_to_end import protect
+from valor_common.devices.table import SeaCanFd
+from valor_common.instance import Instance, Settings
+from valor_common.messages import JointMode
+from valor_common.robot import FloatVector, RobotDescription
+
+ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+TABLE = ROBOT.tables.devices["legs"]
+assert isinstance(TABLE, SeaCanFd)
+NAMES = TABLE.joints
+OFFSET = np.array([ROBOT.tables.calibration.offsets.get(joint, 0.0) for joint in NAMES])
+ON = int(Status.ENABLED | Status.CALIBRATED)
+
+
+class Bench:
+    """A driver on a bus within this process, and the bus' far end in a test's hands."""
+
+    def __init__(self, name: str) -> None:
+        settings = Settings(robot=ROBOT.folder, ros_domain_id=1, ports={"can0": f"virtual:{name}"})
+        self.driver = SeriesElastic("legs", DeviceContext(Instance("x", Path()), settings, ROBOT))
+        self.driver._bus = can.Bus(interface="virtual", channel=name)
+        self.far = can.Bus(interface="virtual", channel=name)
+        self.clock = 0
+
+    def exchange(self, encoders: FloatVector, status: int = ON, but: frozenset[int] = frozenset()) -> JointMeasurement:
+        """One SYNC, answered by all but some; returns what the driver hands over."""
+        self.driver._sync()
+        counter = None
+        while (message := self.far.recv(0.0)) is not None:
+            if message.arbitration_id == can_frames.SYNC:
+                counter = can_frames.read_small(message)
+        assert counter is not None
+        self.clock += 4000
+        rows = iter(encoders)
+        for unit in TABLE.controllers:
+            axes = [[next(rows), 0.1, 2.0, 0.2] for _ in unit.axes]
+            axes += [[0.0] * 4] * (can_frames.AXES - len(axes))
+            if unit.id not in but:
+                content = can_frames.CONTROLLER_STATE.pack(
+                    counter, status, 0, *axes[0], *axes[1], 300, 310, 4800, self.clock
+                )
+                identifier = can_frames.STATE + unit.id
+                self.far.send(can_frames.frame(identifier, protect(identifier, content)))
+        self.driver._listen(0.0)
+        self.driver._finish()
+        assert isinstance(self.driver.measured, JointMeasurement)
+        return self.driver.measured
+
+    def commands(self) -> dict[int, np.void]:
+        """What the far end was told, by controller."""
+        told = {}
+        while (message := self.far.recv(0.0)) is not None:
+            if message.arbitration_id & can_frames.KIND == can_frames.COMMAND:
+                command = can_frames.read_command(message)
+                assert command is not None
+                told[message.arbitration_id & can_frames.UNIT] = command
+        return told
+
+
+@pytest.fixture
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    bench = Bench(request.node.name)
+    yield bench
+    bench.far.shutdown()
+    bench.driver.close()
+
+
+def command(mode: JointMode = JointMode.IMPEDANCE) -> JointCommands:
+    m = len(NAMES)
+    position, velocity, effort, stiffness, damping = (np.arange(m) + 0.125 * k for k in range(5))
+    return JointCommands(70_000, np.full(m, mode, dtype=np.uint8), position, velocity, effort, stiffness, damping)
+
+
+def test_every_axis_gets_its_own_command_with_its_offset(bench: Bench) -> None:
+    bench.driver.command = sent = command()
+    bench.driver._send_command()
+    told = bench.commands()
+    assert list(told) == [unit.id for unit in TABLE.controllers]
+    row = 0
+    for unit in TABLE.controllers:
+        received = told[unit.id]
+        assert int(received["sequence"]) == 70_000 & 0xFFFF
+        for axis in range(len(unit.axes)):
+            expected = (sent.position[row] + OFFSET[row], *(v[row] for v in (
+                sent.velocity, sent.effort, sent.stiffness, sent.damping)))  # fmt: skip
+            assert received["mode"][axis] == JointMode.IMPEDANCE
+            assert tuple(received["axis"][axis]) == pytest.approx(expected, rel=1e-6)
+            row += 1
+    assert told[7]["mode"][1] == JointMode.OFF, "the axis that is not there is off"
+    bench.driver._send_command()
+    assert bench.commands() == {}, "a command is sent once"
+
+
+def test_states_are_joint_positions_and_time_is_the_controllers(bench: Bench) -> None:
+    rest = np.linspace(-0.3, 0.3, len(NAMES))
+    for _ in range(3):
+        measured = bench.exchange(rest + OFFSET)
+    assert measured.position == pytest.approx(rest, abs=1e-6)
+    assert measured.effort == pytest.approx(2.0)
+    assert bench.driver.elapsed == 2 * 4_000_000, "between three SYNCs"
+    assert bench.driver.records[0].temperature == pytest.approx(31.0)
+    assert bench.driver.records[0].voltage == pytest.approx(48.0)
+    assert not any(record.errors for record in bench.driver.records)
+
+
+def test_what_was_not_answered_keeps_its_last_state_and_stamp(bench: Bench) -> None:
+    first = bench.exchange(OFFSET)
+    second = bench.exchange(OFFSET + 0.01, but=frozenset({2}))
+    rows = [NAMES.index("l_hip_pitch"), NAMES.index("l_knee_pitch")]
+    assert second.position[rows] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert (second.stamp[rows] == first.stamp[rows]).all()
+    assert second.position[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_an_encoder_that_jumps_is_not_believed_and_its_joint_held_by_what_it_says(bench: Bench) -> None:
+    knee = NAMES.index("l_knee_pitch")
+    bench.exchange(OFFSET)
+    jumped = OFFSET.copy()
+    jumped[knee] += 0.5
+    for attempt in range(JUMPS_TO_FAULT + 2):
+        measured = bench.exchange(jumped)
+        assert measured.position[knee] == pytest.approx(0.0, abs=1e-6), attempt
+    (ailment,) = bench.driver.ailments
+    assert (ailment.unit, ailment.fault) == ("2", Fault.ENCODER)
+    assert "l_knee_pitch" in ailment.detail
+    bench.driver.command = command(JointMode.FORCE)
+    bench.driver._send_command()
+    told = bench.commands()
+    assert told[2]["mode"][1] == JointMode.POSITION
+    assert told[2]["axis"][1]["position"] == pytest.approx(jumped[knee], abs=1e-6)
+    assert told[2]["axis"][1]["effort"] == 0.0
+    assert told[2]["mode"][0] == JointMode.FORCE, "its other axis goes on"
+    bench.exchange(OFFSET)
+    assert bench.driver.ailments, "once it has jumped, it is believed no more"
+
+
+def test_one_wild_position_is_skipped(bench: Bench) -> None:
+    bench.exchange(OFFSET)
+    wild = OFFSET.copy()
+    wild[0] = 3.0
+    bench.exchange(wild)
+    measured = bench.exchange(OFFSET)
+    assert measured.position[0] == pytest.approx(0.0, abs=1e-6)
+    assert not bench.driver.ailments
+    assert bench.driver.records[0].errors == 1
+
+
+def test_a_controller_without_power_is_switched_on_again_only_where_that_moves_nothing(bench: Bench) -> None:
+    bench.driver._enabled = True
+    bench.exchange(OFFSET)
+    for _ in range(2):
+        bench.exchange(OFFSET, status=0)
+    assert {ailment.fault for ailment in bench.driver.ailments} == {Fault.DISABLED}
+    asked = [unit.known for unit in bench.driver._controllers.values()]
+    assert not any(asked), "who they are is asked again first"
+    for unit in bench.driver._controllers.values():
+        unit.known = True
+    far = command(JointMode.POSITION)
+    bench.driver.command = far
+    bench.driver._tend()
+    requests = [m for m in iter(lambda: bench.far.recv(0.0), None) if m.arbitration_id & 0x780 == can_frames.REQUEST]
+    assert {m.arbitration_id & can_frames.UNIT for m in requests} == set(), "their set-points are far away"
+    bench.driver.command = command(JointMode.OFF)
+    bench.driver._tend()
+    requests = [m for m in iter(lambda: bench.far.recv(0.0), None) if m.arbitration_id & 0x780 == can_frames.REQUEST]
+    assert {m.arbitration_id & can_frames.UNIT for m in requests} == set(bench.driver._controllers)
