@@ -1,4 +1,4 @@
-"""A plan and what became of it, from above."""
+"""A plan and what became of it, from above; steps that go up or down carry their height."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from valor_common.robot import Feet
 from valor_common.soles import outline
 
 COLORS = ("tab:red", "tab:green")  # left, right, as on ships
+LEVEL = 0.01  # a step not higher or lower than that is on the ground where the robot stood [m]
 
 
 def draw(
@@ -38,6 +39,7 @@ def draw(
 
     figure = Figure(figsize=(8, 8), layout="constrained")
     axes = figure.add_subplot()
+    ground = sum(pose.position[2] for pose in start) / len(start)
 
     def sole(foot: int, pose: Pose, **style: Any) -> None:
         corners = outline(pose.position, pose.rotation, feet.left if foot == 0 else feet.right)
@@ -49,7 +51,9 @@ def draw(
         first = number == next((i for i, (other, _) in enumerate(steps) if other == foot), -1)
         name = f"planned, {('left', 'right')[foot]}" if first else None
         sole(foot, pose, facecolor=COLORS[foot], edgecolor=COLORS[foot], alpha=0.35, label=name)
-        axes.annotate(str(number), pose.position[:2], ha="center", va="center", fontsize=8)
+        height = pose.position[2] - ground
+        label = f"{number}\n{height:+.2f} m" if abs(height) > LEVEL else str(number)
+        axes.annotate(label, pose.position[:2], ha="center", va="center", fontsize=8)
     for foot in (0, 1) if end is not None else ():
         assert end is not None
         sole(foot, end[foot], fill=False, edgecolor="black", linewidth=1.5, label="reached" if foot == 0 else None)
@@ -59,8 +63,8 @@ def draw(
     axes.set_xlabel("x in odom [m]")
     axes.set_ylabel("y in odom [m]")
     axes.grid(alpha=0.3)
-    axes.legend(loc="best", fontsize=8)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.01), ncols=4, fontsize=8)
     try:
-        figure.savefig(file, dpi=120)
+        figure.savefig(file, dpi=120, bbox_inches="tight")
     except (OSError, ValueError) as error:
         raise ValorError(f"{file}: the picture cannot be written: {error}") from None

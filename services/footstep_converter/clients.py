@@ -11,9 +11,11 @@ from typing import Any, Protocol
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
+from rclpy.timer import Timer
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import StepPlan
 
@@ -24,7 +26,10 @@ from footstep_converter.plan import ODOM
 NAMESPACE = "/robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic
 FEEDBACK = f"{NAMESPACE}/execute_feedback"
+RESULT_DELAY = 0.1  # behind the last feedback: a client that has the result takes no more feedback [s]
 WORDS = 50  # of feedback kept for watchers: five seconds, in which a lost one is sent again before it is overwritten
+
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 Report = Callable[[ExecuteStepPlan.Feedback], None]
 
@@ -52,10 +57,14 @@ class Goal(Protocol):
 
 
 class ActionGoal:
-    """A goal of the action."""
+    """A goal of the action. Its result comes a little behind the last feedback."""
 
-    def __init__(self, handle: ServerGoalHandle, executor: Any, report: Report, maker: FeedbackMaker) -> None:
+    def __init__(
+        self, handle: ServerGoalHandle, executor: Any, node: Node, report: Report, maker: FeedbackMaker
+    ) -> None:
+        self.ended = False
         self._handle = handle
+        self._node = node
         self._report = report
         self._maker = maker
         self._outcome = Future(executor=executor)
@@ -71,11 +80,6 @@ class ActionGoal:
         """Whether the client no longer wants it."""
         return bool(self._handle.is_cancel_requested)
 
-    @property
-    def ended(self) -> bool:
-        """Whether the client has been told the outcome."""
-        return bool(self._outcome.done())
-
     def progress(self, execution: Execution | None) -> None:
         """Tell the client where the plan is; None: it is being handed over."""
         self._publish(self._maker.progress(execution))
@@ -83,8 +87,13 @@ class ActionGoal:
     def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
         """Tell the client how it ended; once."""
         if not self.ended:
+            self.ended = True
             self._publish(self._maker.end(outcome, execution))
-            self._outcome.set_result(outcome)
+            timer: Timer = self._node.create_timer(RESULT_DELAY, lambda: self._settle(timer, outcome), clock=_STEADY)
+
+    def _settle(self, timer: Timer, outcome: Outcome) -> None:
+        self._node.destroy_timer(timer)
+        self._outcome.set_result(outcome)
 
     def _publish(self, feedback: ExecuteStepPlan.Feedback) -> None:
         self._handle.publish_feedback(feedback)
@@ -132,6 +141,7 @@ class Clients:
     """Serves the action and the topic. ``begin`` is given each new goal, ``stop`` each that its client cancels."""
 
     def __init__(self, node: Node, executor: Any, begin: Callable[[Goal], None], stop: Callable[[Goal], None]) -> None:
+        self._node = node
         self._executor = executor
         self._begin = begin
         self._stop = stop
@@ -147,7 +157,7 @@ class Clients:
         self._begin(PublishedPlan(plan, self._feedback.publish, self._maker))
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteStepPlan.Result:
-        goal = ActionGoal(handle, self._executor, self._feedback.publish, self._maker)
+        goal = ActionGoal(handle, self._executor, self._node, self._feedback.publish, self._maker)
         key = bytes(handle.goal_id.uuid)
         self._goals[key] = goal
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -18,9 +19,9 @@ import pytest
 
 import bifrost
 from tests.bifrost.network import mechanism, ports
-from tests.conftest import ROBOTS, wait_until
+from tests.conftest import REPOSITORY, ROBOTS, wait_until
 from valor_common.instance import Instance
-from valor_common.processes import BY_NAME
+from valorctl.profile import Profile
 from valorctl.status import look
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
@@ -300,11 +301,12 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert "control mode stand" in told
     seen = ctl.status()
     assert {service["state"] for service in seen["services"].values()} == {"ready"}
-    assert set(seen["services"]) == set(BY_NAME)
+    processes = Profile.load(REPOSITORY / "deploy" / "sim.yaml").processes
+    assert set(seen["services"]) == set(processes)
     assert (seen["control_mode"], seen["behavior"], seen["profile"]) == ("stand", "stand", "sim")
 
     listening = [port for process in ctl.processes() for port in ports(process.pid)]
-    assert len(listening) >= len(BY_NAME)
+    assert len(listening) >= len(processes)
     assert {mechanism(port) for port in listening} == {"CURVE"}
 
     refused = ctl("arm", "left", "forward", status=1)
@@ -325,6 +327,13 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert 0.5 < walked["distance_m"] < 2.0
     assert walked["mean_dcm_error_m"] < 0.03
     assert "finite" in ctl("walk", "--vx", "nan", status=1)
+    picture = ctl.home / "steps.png"
+    stepped = json.loads(ctl("step", "--to", "0.25", "0.05", "0.2", "--relative", "--plot", str(picture), "--json"))
+    assert stepped["reached"]
+    assert stepped["largest_error_m"] < 0.03
+    assert stepped["largest_error_rad"] < math.radians(3.0)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "finite" in ctl("step", "--to", "nan", "0", "0", status=1)
     assert json.loads(ctl("mode", "--json"))["control_mode"] == "stand_manipulate"
 
     program = "import os, rclpy; rclpy.init(); node = rclpy.create_node('peer'); print(os.environ['ROS_DOMAIN_ID'])\n"
