@@ -31,6 +31,7 @@ from valor_common.transforms import TooNewError, TransformError
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]
 FEEDBACK_PERIOD = 0.1  # at most, from one to the next [s]
+LAST_TURNS = 10  # in which the results of the last goals leave
 STOP_RETRY = 0.5  # from a stop that was not answered to the next [s]
 TRANSFORM_PATIENCE = 1.0  # for a transform as new as a plan's stamp [s]
 
@@ -345,6 +346,8 @@ class FootstepConverter:
             goal.end(outcome)
         deadline = time.monotonic() + ANSWER
         while (self._clients.open_goals or not stop.done()) and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=ACTIVE_PERIOD)
+        for _ in range(LAST_TURNS):
             self._executor.spin_once(timeout_sec=ACTIVE_PERIOD)
 
 

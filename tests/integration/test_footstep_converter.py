@@ -216,8 +216,11 @@ def motion(instance: RunningInstance, ros_client: Client) -> Iterator[ScriptedMo
     scripted = ScriptedMotionManager(bifrost.Node("motion_manager", network=instance.network))
     yield scripted
     scripted.silent, scripted.behavior = False, "fall"
-    wait_until(lambda: all(goal.result for goal in ros_client.goals), LIMIT, "the end of all goals")
-    scripted.close()
+    try:
+        wait_until(lambda: all(goal.result for goal in ros_client.goals), LIMIT, "the end of all goals")
+    finally:
+        ros_client.goals.clear()
+        scripted.close()
 
 
 def test_without_a_motion_manager_the_error_says_so(ros_client: Client) -> None:
@@ -554,13 +557,15 @@ def test_stopping_the_converter_stops_the_plan_and_tells_the_client(
     instance: RunningInstance, motion: ScriptedMotionManager, ros_client: Client
 ) -> None:
     goal = begin(motion, ros_client)
-    assert instance.stop("footstep_converter") == 0
-    assert not motion.requests[-1].steps
-    status, flags, text = ros_client.outcome(goal)
-    assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY | S.PREMATURE_HALT)
-    assert "stopping" in text
-    instance.start("footstep_converter", wait=True)
-    ros_client.wait_for_server()
+    try:
+        assert instance.stop("footstep_converter") == 0
+        assert not motion.requests[-1].steps
+        status, flags, text = ros_client.outcome(goal)
+        assert (status, flags) == (GoalStatus.STATUS_ABORTED, S.ERR_CONTROLLER_NOT_READY | S.PREMATURE_HALT)
+        assert "stopping" in text
+    finally:
+        instance.start("footstep_converter", wait=True)
+        ros_client.wait_for_server()
 
 
 def test_it_costs_next_to_nothing_at_idle(instance: RunningInstance, motion: ScriptedMotionManager,
