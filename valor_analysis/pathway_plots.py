@@ -33,6 +33,7 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
             at, mean, deviation = place + offset, 1e3 * segment.mean, 1e3 * segment.deviation
             axes.bar(at, mean, 0.92 * width, color=_COLORS[segment.where], alpha=1.0 if i == len(found) - 1 else 0.45)
             axes.errorbar(at, mean, deviation, color=style.INK, linewidth=1.0, capsize=2.5)
+            axes.plot(at, 1e3 * segment.median, "D", color="white", markeredgecolor=style.INK, markersize=4.0, zorder=3)
             axes.annotate(f"{mean:.1f}", (at, mean + deviation), (0, 3), textcoords="offset points", ha="center",
                           fontsize=8, color=style.GREY)  # fmt: skip
             bottom, top = min(bottom, mean - deviation if mean < 0.0 else 0.0), max(top, mean + deviation)
@@ -51,7 +52,9 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
         handles += [Line2D([], [], color=style.GREY, alpha=a, linewidth=6.0, label=name) for name, a in shades]
     style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 0.97), ncols=len(handles))
     style.heading(
-        figure, "How long each step takes", "from one message sent to the next; lines: one standard deviation"
+        figure,
+        "How long each step takes",
+        "from one message sent to the next: means; lines: one standard deviation; diamonds: medians",
     )
     return style.save(figure, file)
 

@@ -76,6 +76,11 @@ class Segment:
         """Standard deviation [s]; NaN without samples."""
         return float(self.samples.std()) if len(self.samples) else float("nan")
 
+    @property
+    def median(self) -> float:
+        """[s], on which a few late ones do not tell; NaN without samples."""
+        return float(np.median(self.samples)) if len(self.samples) else float("nan")
+
 
 @dataclass(frozen=True)
 class Pathway:
@@ -88,6 +93,11 @@ class Pathway:
     def mean(self) -> float:
         """Of the sum [s]."""
         return sum(segment.mean for segment in self.segments)
+
+    @property
+    def median(self) -> float:
+        """The sum of the segments' medians [s]."""
+        return sum(segment.median for segment in self.segments)
 
     @property
     def deviation(self) -> float:

@@ -87,7 +87,8 @@ def run(run: Run) -> None:
         for pathway in latencies.pathways:
             run.measures.append(
                 Measure(f"{pathway.name}, {profile}", _ms(pathway.mean), "ms", _THESIS[pathway.name],
-                        " + ".join(segment.name for segment in pathway.segments))
+                        f"{1e3 * pathway.median:.1f} by medians; "
+                        + " + ".join(segment.name for segment in pathway.segments))
             )  # fmt: skip
     run.files.append(_write_csv(found, run.out / "pathway_latency.csv"))
     run.picture([pathway_plots.bars(found, run.out / "pathway_latency_segments.png")],
