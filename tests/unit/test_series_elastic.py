@@ -118,6 +118,18 @@ def test_states_are_joint_positions_and_time_is_the_controllers(bench: Bench) ->
     assert not any(record.errors for record in bench.driver.records)
 
 
+def test_no_time_is_lost_with_answers_that_are(bench: Bench) -> None:
+    everybody = frozenset(unit.id for unit in TABLE.controllers)
+    bench.exchange(OFFSET)
+    bench.exchange(OFFSET, but=everybody)
+    bench.exchange(OFFSET, but=everybody)
+    assert bench.driver.elapsed == 0, "nobody has said"
+    bench.exchange(OFFSET, but=frozenset({1, 2}))
+    assert bench.driver.elapsed == 3 * 4_000_000
+    bench.exchange(OFFSET, but=everybody - {1})
+    assert bench.driver.elapsed == 4 * 4_000_000
+
+
 def test_what_was_not_answered_keeps_its_last_state_and_stamp(bench: Bench) -> None:
     first = bench.exchange(OFFSET)
     second = bench.exchange(OFFSET + 0.01, but=frozenset({2}))

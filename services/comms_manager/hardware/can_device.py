@@ -67,8 +67,7 @@ class CanDevice(Device):
         self._awaited: set[int] = set()  # of those, who is waited for
         self._replies: dict[int, Reply] = {}
         self._tended = 0.0
-        self._syncs = 0
-        self._step: int | None = None  # by the units' clocks, between the last two SYNCs [ns]
+        self._now: int | None = None  # ``elapsed`` as of this SYNC, if a unit has said [ns]
         self.elapsed = 0
 
     # --- for the main loop ----------------------------------------------------------------------------------------
@@ -165,13 +164,13 @@ class CanDevice(Device):
 
     def _finish(self) -> None:
         """Hand over what has been gathered, and let the time pass that has passed by the units' clocks."""
-        self.elapsed += self._step or 0
+        if self._now is not None:
+            self.elapsed = max(self.elapsed, self._now)
         self._hand_over()
 
     def _sync(self) -> None:
         assert self._bus is not None
-        self._syncs += 1
-        self._step = None
+        self._now = None
         for number in self._missing:
             self.units[number].missed += 1
         self._counter = (self._counter + 1) & 0xFF

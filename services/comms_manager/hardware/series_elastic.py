@@ -25,6 +25,7 @@ from valor_common.robot import FloatVector
 
 JUMP_MARGIN = 0.05  # of a joint's position from one state to the next, besides what its velocity limit gives [rad]
 JUMPS_TO_FAULT = 3  # implausible positions in a row, after which it is the encoder
+LONGEST_STEP = 10_000_000  # of a controller's clock; beyond, it has begun anew [µs]
 ENABLE_WITHIN = 0.1  # of the set-point: only there is a controller that had lost its power switched on again [rad]
 
 # As plain numbers: the flags' own arithmetic is dear, and this is done for every state.
@@ -46,8 +47,8 @@ class _Controller(CanUnit):
         self.jumps = 0  # implausible positions in a row
         self.jumped: list[int] = []  # rows whose encoder cannot be believed any more
         self.status = 0
-        self.clock = 0  # [µs], of its newest state
-        self.synced = -1  # which SYNC that answered
+        self.clock: int | None = None  # [µs], of its newest state
+        self.elapsed = 0  # by all controllers' clocks, at that state [ns]
         self.known = True  # that this is the unit it must be; not after it had lost its power
 
 
@@ -145,14 +146,20 @@ class SeriesElastic(CanDevice):
                 encoder[row], self._velocity[row] = axes[4 * k], axes[4 * k + 1]
             self._effort[row] = axes[4 * k + 2]
             self._stamp[row] = now
-        clock, before = axes[11], unit.clock
-        if self._step is None and unit.synced == self._syncs - 1:
-            self._step = 1000 * ((int(clock) - before) & 0xFFFFFFFF)
-        unit.clock, unit.synced = int(clock), self._syncs
+        self._pass_time(unit, int(axes[11]))
         if status != unit.status or unit.jumped:
             self._status_changed(unit, status)
         self._judge(unit, 0.1 * max(axes[8], axes[9]), 0.01 * axes[10], self._others(unit))
         return True
+
+    def _pass_time(self, unit: _Controller, clock: int) -> None:
+        """A controller says its time [µs]: the first to answer a SYNC says it for all, whoever missed some before."""
+        if self._now is None:
+            step = 0 if unit.clock is None else (clock - unit.clock) & 0xFFFFFFFF
+            self._now = self.elapsed if unit.clock is None else unit.elapsed
+            if step < LONGEST_STEP:
+                self._now += 1000 * step
+        unit.clock, unit.elapsed = clock, self._now
 
     def _status_changed(self, unit: _Controller, status: int) -> None:
         if unit.status & _ENABLED and not status & _ENABLED:
