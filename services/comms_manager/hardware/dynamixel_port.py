@@ -9,6 +9,7 @@ those that are there, whichever they are.
 from __future__ import annotations
 
 import termios
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,7 @@ from valor_common.devices.dynamixel import Item
 ANSWER_TIME = 40.0  # that a servo has for the answer to a single request, besides the line's own [ms]
 CYCLE_TIME = 7.0  # that all servos have together for a cycle's answers, likewise [ms]
 TRIES = 3  # of a single request
+QUIET = 0.03  # on the line, before a request is made again [s]
 READ_TIME = 0.003  # that one read waits [s]
 STATUS_OVERHEAD = 11  # bytes of a status frame besides its parameters
 _ID, _ERROR, _PARAMETERS = 4, 8, 9
@@ -187,7 +189,15 @@ class DynamixelPort:
             answer = request()
             if answer[1] == COMM_SUCCESS:
                 return answer
+            self._let_pass()
         return request()
+
+    def _let_pass(self) -> None:
+        """Let answers pass that come too late: answers do not say to what, and would be taken for that to the next."""
+        quiet = time.monotonic() + QUIET
+        while time.monotonic() < quiet:
+            if self._port.ser.read(256):
+                quiet = time.monotonic() + QUIET
 
     def _check(self, servo: int, what: str, result: int, error: int) -> None:
         if result == COMM_RX_TIMEOUT:
