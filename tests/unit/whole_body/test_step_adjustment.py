@@ -206,3 +206,10 @@ def test_the_vrp_of_a_late_step_stays_over_the_stance_sole_and_holds_the_dcm_bac
     assert dz == 0.0
     assert abs(x - forward) <= abs(x) + 1e-12
     assert abs(y - left) <= abs(y) + 1e-12
+
+
+def test_a_late_foot_stays_where_it_was_led_when_the_dcm_is_no_number() -> None:
+    case = situation(LEFT, (0.3, 0.2), (0.0, 0.0), 0.06)
+    guard = StepGuard(ROBOT, OMEGA)
+    guard.begin(case.step, case.stance, case.centre, landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER)
+    np.testing.assert_array_equal(guard.late_foothold(np.full(3, nan)), case.step.sole.position)

@@ -153,7 +153,7 @@ class Gait:
         self.dcm, self.vrp = self._plan.at(self._time)
         if self._step is not None:
             if self.swinging is not None and self._time > self._transfer + self._step.swing_duration:
-                self._wait(state, before, dcm, dt)
+                self._wait(before, dcm, dt)
             else:
                 self._give_way(state, dcm, self._step)
         self._feet()
@@ -281,11 +281,10 @@ class Gait:
             left = self._transfer + self._step.swing_duration - time
             self.dcm[:2], self.vrp[:2] = guard.reference(left)[:2], guard.centre[:2]  # heights are the plan's
 
-    def _wait(self, state: RobotState, before: FloatArray, dcm: FloatArray, dt: float) -> None:
+    def _wait(self, before: FloatArray, dcm: FloatArray, dt: float) -> None:
         """The foot is late: slow the DCM's reference down, and lead the foot along with the DCM.
 
         Args:
-            state: the robot's.
             before: (3,) the reference a period ago [m].
             dcm: (3,) its DCM, were its arms nominal [m].
             dt: since then [s].

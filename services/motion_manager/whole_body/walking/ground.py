@@ -32,7 +32,7 @@ class GroundPlane:
     def forget(self) -> None:
         """What was felt is of no meaning any more."""
         self._footholds.clear()
-        self._slope[:] = 0.0
+        self._middle, self._slope = np.zeros(3), np.zeros(2)
 
     def stand(self, soles: tuple[FloatArray, FloatArray], moved: bool) -> None:
         """Both feet stand.

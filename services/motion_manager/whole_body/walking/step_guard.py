@@ -119,7 +119,7 @@ class StepGuard:
         foothold, landing = step.sole.position, situation.landing_dcm
         if self.adjusted is not None:
             foothold, landing = self.adjusted.foothold, self.adjusted.landing_dcm
-        if adjuster is None or not self._guards:
+        if adjuster is None or not self._guards or not np.isfinite(dcm).all():
             return foothold
         moved = (dcm - landing) / transfer_gain(self._omega * situation.transfer)
         return adjuster.within_reach(step, situation.stance, foothold + moved)
