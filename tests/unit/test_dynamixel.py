@@ -234,3 +234,12 @@ def test_waiting_for_servos_leaves_the_processor_to_others(bus: Bus, port: Dynam
     for _ in range(30):
         assert reader.read() == {}
     assert time.thread_time() - used < 0.5 * (time.monotonic() - began)
+
+
+def test_the_late_answer_to_an_earlier_request_is_no_number(bus: Bus, port: DynamixelPort) -> None:
+    """An answer of one byte that comes while four are awaited, from the same servo."""
+    bus.servos[0].feel(2100.0, 0.0, 0.0, 0.0)
+    stale = encode(1, 0x55, bytes((0, 46)))
+    for _ in range(10):
+        threading.Timer(0.0005, lambda: bus.port.write(stale)).start()
+        assert port.read(1, X_SERIES.present_position) == 2100

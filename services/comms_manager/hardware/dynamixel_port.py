@@ -147,9 +147,25 @@ class DynamixelPort:
 
     def read(self, servo: int, item: Item) -> int:
         """One number."""
-        data, result, error = self._again(lambda: self._packets.readTxRx(self._port, servo, item.address, item.size))
+        data, result, error = self._again(lambda: self._read(servo, item))
         self._check(servo, f"read of {item.address}", result, error)
         return number_of(bytes(data), item, item.address)
+
+    def _read(self, servo: int, item: Item) -> tuple[bytes, int, int]:
+        """Data, result and error of one request.
+
+        The SDK takes any answer of the servo for the one to its request, and the checksum for data where that is
+        shorter: what answers an earlier request, too late, must not be a number.
+        """
+        if (result := self._packets.readTx(self._port, servo, item.address, item.size)) != COMM_SUCCESS:
+            return b"", result, 0
+        while True:
+            frame, result = self._packets.rxPacket(self._port, False)
+            if result != COMM_SUCCESS:
+                return b"", result, 0
+            answer = _answer(frame)
+            if frame[_ID] == servo and (answer.error or len(answer.data) == item.size):
+                return answer.data, result, answer.error
 
     def write(self, servo: int, item: Item, value: int) -> None:
         """One number, acknowledged by the servo."""
