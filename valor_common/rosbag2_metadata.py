@@ -28,12 +28,13 @@ def is_own_folder(bag: Path) -> bool:
 
 
 def write(folder: Path) -> Path | None:
-    """Describe the finished bags of a folder; returns the file, or None if there is none to describe.
+    """Describe the finished bags of a folder that have its name; returns the file, or None if there is none.
 
     Raises:
         OSError: it cannot be written.
     """
-    found = [(file, summary) for file in folder.glob(f"*{SUFFIX}") if (summary := _summary(file)) is not None]
+    own = (file for file in folder.glob(f"*{SUFFIX}") if is_own_folder(file))
+    found = [(file, summary) for file in own if (summary := _summary(file)) is not None]
     if not found:
         return None
     found.sort(key=lambda each: (_statistics(each[1]).message_start_time, each[0].name))

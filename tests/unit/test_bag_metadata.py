@@ -38,6 +38,7 @@ def test_the_splits_of_a_recording_are_one_bag_in_their_order(tmp_path: Path) ->
     bag(folder / "walk_10.mcap", 3000, 3, (NUMBERS,))
     bag(folder / "walk_2.mcap", 2000, 4, (WORDS, NUMBERS))
     bag(folder / "walk_11.mcap", 4000, 4, (WORDS,), close=False)
+    bag(folder / "another.mcap", 500, 9, (WORDS,))
     assert rosbag2_metadata.write(folder) == folder / "metadata.yaml"
     assert "&" not in (folder / "metadata.yaml").read_text()
     with Reader(folder) as reader:
