@@ -26,7 +26,7 @@ import numpy.typing as npt
 from valor_analysis.bag import Array, Bag, Series
 from valor_analysis.errors import BagError, SignalError
 from valor_analysis.lag import lag
-from valor_analysis.recording import Recording
+from valor_analysis.recording import Recording, recorded
 from valor_analysis.signals import Signal
 from valor_common.robot import RobotDescription
 from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
@@ -139,16 +139,14 @@ class _Signals:
 
     def __init__(self, bag: Bag, robot: RobotDescription) -> None:
         recording = Recording(bag, robot)
-        recording.load(PROPRIOCEPTOR, MOTOR, MOTION_STATE, JOINT_SETPOINTS)
-        bag.load(REFERENCE, VEC, JOINT_STATES, MODE_COMMAND, MODE_REPORT)
+        told = (recorded(topic) for topic in (PROPRIOCEPTOR, MOTOR, MOTION_STATE, JOINT_SETPOINTS))
+        bag.load(*told, REFERENCE, VEC, JOINT_STATES, MODE_COMMAND, MODE_REPORT)
         self._robot, self._bag = robot, bag
         self._senses, self._motor = recording.series(PROPRIOCEPTOR), recording.series(MOTOR)
         self._setpoints, self._states = recording.series(JOINT_SETPOINTS), recording.series(MOTION_STATE)
         self._references, self._vec, self._joint_states = bag[REFERENCE], bag[VEC], bag[JOINT_STATES]
-        self._measured, self._commanded = (
-            recording.joints(PROPRIOCEPTOR, "joint_position"),
-            recording.joints(MOTOR, "position"),
-        )
+        self._measured = recording.joints(PROPRIOCEPTOR, "joint_position")
+        self._commanded = recording.joints(MOTOR, "position")
         self._vec_rows, self._vec_time = self._when_sensed(_header(self._vec))
         if not len(self._vec_rows):
             raise BagError(f"{bag.path}: {VEC} and Proprioceptor have no robot time in common")
