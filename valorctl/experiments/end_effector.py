@@ -28,7 +28,7 @@ def run(run: Run) -> None:
     os.environ.setdefault("MUJOCO_GL", "egl")
     from valor_analysis import end_effector_plots as plots
 
-    folder = robot_variant.make(run.options.robot, THESIS, run.out / "robot")
+    folder = robot_variant.make(run.options.robot, THESIS, run.out / f"{Path(run.options.robot).name}_thesis")
     kept, recording = _session(run, run.out / "end_effector.mcap", folder)
     ours, _ = _session(run, run.out / "end_effector_compensated.mcap", None)
     profile = arm_session.real_arms(run)

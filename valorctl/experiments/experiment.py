@@ -74,11 +74,18 @@ class Run:
             seed=self.options.seed, bag=bag, recording=recording or Recording(),
         )  # fmt: skip
         with demonstration.running(self.instance, request, self.progress, self.interruption) as settings:
-            self.settings |= {
+            self._note({
                 "robot": settings.robot.name, "profile": settings.profile, "clock": settings.clock,
                 "actuators": settings.actuators, "world": settings.world, "seed": str(settings.seed),
-            }  # fmt: skip
+            })  # fmt: skip
             yield settings
+
+    def _note(self, settings: dict[str, str]) -> None:
+        """Keep what a system had; of several systems all that differ."""
+        for key, value in settings.items():
+            known = self.settings.setdefault(key, value)
+            if value not in known.split(", "):
+                self.settings[key] = f"{known}, {value}"
 
     def picture(self, files: list[Path], caption: str, reproduces: str = "") -> None:
         """Add figures to the result."""

@@ -67,7 +67,6 @@ def run(run: Run) -> None:
         run.progress.waiting("computing latencies")
         found[profile] = Latencies.of(Bag(bag), robot)
         run.files.append(bag)
-    run.settings["actuators"] = ", ".join(profiles)
     run.text = (
         f"The right arm is given {QUICK_COMMANDS if run.options.quick else COMMANDS} short trajectories of "
         f"{POINTS} random points each as JointTrajectory messages, and the VRC "
