@@ -1,7 +1,7 @@
 """Tables: what stands in a file, as data classes whose values are checked when they are read.
 
-msgspec checks them, as it does messages. It takes a tenth of a MiB where pydantic takes ten of every process; in return
-the keys that its complaints leave open, and its words, are filled in here.
+msgspec checks them, which every process has for its messages anyway; pydantic would take ten MiB of each. In return the
+keys that msgspec's complaints leave open, and its words, are filled in here.
 """
 
 from __future__ import annotations
