@@ -287,6 +287,23 @@ def test_feedback_comes_ten_times_a_second_and_with_every_step(
     assert indices == sorted(indices)
 
 
+def test_steps_that_begin_before_the_acceptance_is_heard_are_told(
+    motion: ScriptedMotionManager, ros_client: Client
+) -> None:
+    def at_once(request: FootstepPlanRequest) -> tuple[bool, str]:
+        for state, executing in (("idle", -1), ("executing", 0), ("executing", 1)):
+            motion.says(state, performed=max(executing - 1, -1), executing=executing, changeable=executing + 1)
+            assert motion.step_status is not None
+            motion.publish(motion.step_status)
+        motion.behavior = "step"
+        return True, ""
+
+    motion.accepts = at_once
+    goal = ros_client.send(plan())
+    wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), LIMIT, "feedback of step 1")
+    assert 0 in {f.currently_executing_step_index for f in goal.feedback if f.controller_state == f.ACTIVE}
+
+
 def test_a_refusal_is_passed_on_word_for_word(motion: ScriptedMotionManager, ros_client: Client) -> None:
     motion.accepts = lambda request: (False, "stepping is not available yet")
     goal = ros_client.send(plan())
