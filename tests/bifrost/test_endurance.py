@@ -183,10 +183,10 @@ def test_a_server_refuses_nonsense_and_counts_it(net: BifrostNetwork) -> None:
     assert statuses[-1] == wire.OK and wire.OK not in statuses[:-1]
 
 
-def test_the_daemon_refuses_nonsense_and_counts_it(net: BifrostNetwork) -> None:
-    node = net.node("rogue")
+def test_the_daemon_refuses_nonsense_and_counts_it(own_net: BifrostNetwork) -> None:
+    node = own_net.node("rogue")
     rogue = node.connecting_socket(zmq.DEALER)
-    rogue.connect(net.network.computer.daemon)
+    rogue.connect(own_net.network.computer.daemon)
     before = set(node.graph(10.0).nodes)
     register = msgspec.to_builtins(directory.Register(NodeRecord("ghost", 1, 2, "localhost", 3)))
     nonsense: list[list[bytes]] = [
@@ -206,11 +206,11 @@ def test_the_daemon_refuses_nonsense_and_counts_it(net: BifrostNetwork) -> None:
         rogue.send_multipart(parts)
 
     def counted() -> bool:
-        info = bifrost.daemon_alive(net.network, 5.0)
+        info = bifrost.daemon_alive(own_net.network, 5.0)
         return info is not None and info.refused == len(nonsense)
 
     until(counted, "all are refused", 20.0)
     rogue.close()
     assert set(node.graph(10.0).nodes) == before
-    with bifrost.Node("newcomer", network=net.network) as newcomer:
+    with bifrost.Node("newcomer", network=own_net.network) as newcomer:
         assert "rogue" in newcomer.graph(10.0).nodes
