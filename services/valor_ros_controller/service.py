@@ -14,6 +14,7 @@ from math import nan
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterDescriptor
 
+from valor_common.processes import PROCESSES
 from valor_common.service import Context, quiet_collector
 from valor_ros_controller.behavior_commander import BehaviorCommander
 from valor_ros_controller.control_modes import ControlModeTable
@@ -146,7 +147,9 @@ class ValorRosController:
             silent=lambda: self._interface.silent,
         )
         self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
-        self._diagnostics = Diagnostics(node, context.node, self._snapshots, rate)
+        hardware = context.settings.variant == "hardware"
+        processes = [process.name for process in PROCESSES if hardware or not process.hardware_only]
+        self._diagnostics = Diagnostics(node, context.node, self._snapshots, rate, processes)
         self._cycles = 0
         self._next_snapshot = 0.0
 

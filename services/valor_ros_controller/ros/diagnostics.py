@@ -1,19 +1,22 @@
 """``/diagnostics``: how the VRC and what it hears of fare, once a second, for people and their tools.
 
-One status of the Motion System, one of the VRC, and one of every process by its own word: rates, drops, ages.
+One status of the Motion System, one of the VRC, one of every process by its own word (rates, drops, ages), and on
+hardware one of every unit of a device.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 import bifrost
-from valor_common.messages import Statistics
-from valor_common.topics import STATISTICS
+from valor_common.messages import DeviceStatus, Statistics
+from valor_common.topics import DEVICES, STATISTICS
 from valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 PERIOD = 1.0  # [s]
@@ -87,11 +90,48 @@ class ProcessDiagnostics:
         return _status(level, name, text, values)
 
 
+class DeviceDiagnostics:
+    """The units of all devices, by the Comms Manager's word."""
+
+    _LEVELS: ClassVar[dict[str, bytes]] = {"ok": DiagnosticStatus.OK, "faulty": DiagnosticStatus.WARN}
+
+    def __init__(self, node: bifrost.Node) -> None:
+        self._subscriber = node.subscriber(DEVICES.name, DeviceStatus)
+        self._newest: DeviceStatus | None = None
+
+    def statuses(self) -> list[DiagnosticStatus]:
+        """One a unit; none before the first word, and so none in a simulation."""
+        if (received := self._subscriber.latest()) is not None:
+            self._newest = received.message
+        devices = self._newest
+        if devices is None:
+            return []
+        return [self._unit(devices, place) for place in range(len(devices.units))]
+
+    def _unit(self, devices: DeviceStatus, place: int) -> DiagnosticStatus:
+        state = devices.states[place]
+        values = {
+            "rate [Hz]": f"{devices.rate[place]:.0f}",
+            "latency [ms]": f"{1e3 * devices.latency[place]:.2f}",
+            "age [ms]": f"{1e3 * devices.age[place]:.1f}",
+            "temperature [°C]": f"{devices.temperature[place]:.0f}",
+            "supply [V]": f"{devices.voltage[place]:.1f}",
+            "frames refused": f"{devices.errors[place]:.0f}",
+        }
+        level = self._LEVELS.get(state, DiagnosticStatus.ERROR)
+        return _status(level, f"valor: device {devices.units[place]}", devices.details[place] or state, values)
+
+
 class Diagnostics:
     """Turns snapshots and statistics into diagnostics; a timer of the ROS thread."""
 
     def __init__(
-        self, node: Node, bifrost_node: bifrost.Node, snapshots: RealTimeBuffer[Snapshot], rate: float
+        self,
+        node: Node,
+        bifrost_node: bifrost.Node,
+        snapshots: RealTimeBuffer[Snapshot],
+        rate: float,
+        processes: Collection[str],
     ) -> None:
         """Begin.
 
@@ -100,12 +140,14 @@ class Diagnostics:
             bifrost_node: to the Bifrost network.
             snapshots: from the update thread.
             rate: nominal, of the update loop [Hz].
+            processes: names of those to be told of.
         """
         self._node = node
         self._snapshots = snapshots
         self._rate = rate
         self._cycles = 0
-        self._processes = [ProcessDiagnostics(name, bifrost_node) for name in STATISTICS]
+        self._processes = [ProcessDiagnostics(name, bifrost_node) for name in STATISTICS if name in processes]
+        self._devices = DeviceDiagnostics(bifrost_node)
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         node.create_timer(PERIOD, self._publish)
 
@@ -114,7 +156,8 @@ class Diagnostics:
         if snapshot is None:
             return
         processes = [process.status() for process in self._processes]
-        message = DiagnosticArray(status=[self._motion_system(snapshot), self._controller(snapshot), *processes])
+        own = [self._motion_system(snapshot), self._controller(snapshot)]
+        message = DiagnosticArray(status=[*own, *processes, *self._devices.statuses()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
@@ -158,6 +201,6 @@ class Diagnostics:
         return _status(level, "valor: valor_ros_controller", text, values)
 
 
-def _status(level: bytes, name: str, text: str, values: dict[str, object]) -> DiagnosticStatus:
+def _status(level: bytes, name: str, text: str, values: Mapping[str, object]) -> DiagnosticStatus:
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return DiagnosticStatus(level=level, name=name, message=text, hardware_id="valor", values=pairs)
