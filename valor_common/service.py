@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import Protocol, Self
 
@@ -29,6 +30,7 @@ from valor_common.robot import RobotDescription
 from valor_common.topics import STATISTICS
 
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the service again
+_AUTOGROUP = Path("/proc/self/autogroup")
 _LOG_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
 
 
@@ -60,8 +62,14 @@ class Context:
 
 def _take_priority(niceness: int) -> None:
     """Go before other processes, where that is granted: a robot does not wait until somebody's compiler is done."""
+    if niceness >= 0:
+        return
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
+    # Linux shares the processor among sessions first, and only within one by nice values (sched(7), autogroup).
+    with contextlib.suppress(OSError, ValueError):
+        if int(_AUTOGROUP.read_text().split()[-1]) > niceness:
+            _AUTOGROUP.write_text(str(niceness))
 
 
 class Service(Protocol):
