@@ -195,6 +195,24 @@ def test_a_weak_supply_is_told(bench: Bench) -> None:
         sound(driver)
 
 
+def test_an_alarm_that_leaves_the_motor_on_switches_nothing_off(bench: Bench) -> None:
+    """Too little voltage raises the alarm by a servo's defaults, but is none of what shuts it down."""
+    with bench.running() as driver:
+        send(driver, 0.4, 0.0)
+        comes_to(driver, YAW, 0.4)
+        with bench.lock:
+            servo = bench.emulator._servos[YAW].servo  # type: ignore[attr-defined]
+            servo.set(servo.model.table.hardware_error, 0x01)
+        ailing(driver, "neck_yaw", Fault.FAULTY)
+        before = driver.records[YAW].states
+        wait_until(lambda: driver.records[YAW].states > before + 40, 10, "a second of states")
+        assert [each.fault for each in driver.ailments] == [Fault.FAULTY]
+        with bench.lock:
+            assert servo.torque
+        send(driver, 0.1, 0.0)
+        comes_to(driver, YAW, 0.1)
+
+
 def test_an_encoder_that_jumps_is_not_believed_and_its_joint_stays(bench: Bench) -> None:
     with bench.running() as driver:
         send(driver, 0.4, 0.0)
@@ -243,3 +261,8 @@ def test_off_is_off(bench: Bench) -> None:
                 return not bench.robot._powered[place]
 
         wait_until(limp, 5, "the servo off")
+        before = driver.records[YAW].states
+        wait_until(lambda: driver.records[YAW].states > before + 5, 10, "states")
+        assert driver.ailments == ()  # it is off because it shall be
+        send(driver, 0.1, 0.0)
+        comes_to(driver, YAW, 0.1)

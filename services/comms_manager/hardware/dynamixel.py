@@ -62,6 +62,7 @@ class _Servo:
         self.velocity_limit = float(robot.velocity_limit[robot.index[table.joint]])
         self.goal: float | None = None  # sent last [rad]
         self.torque = False  # it is switched on
+        self.alert = False  # it says that something is wrong with it
         self.missed = 0  # cycles in a row
         self.present = True  # it is read in every cycle
         self.raw = math.nan  # what its encoder says, believed or not [rad]
@@ -291,7 +292,9 @@ class DynamixelServos(Device):
         position = servo.angle(number(registers.present_position))
         if not self._is_plausible(servo, position, came):
             return False
-        if not servo.jumped:
+        if servo.jumped:
+            self._velocity[row] = 0.0
+        else:
             self._position[row] = position
             self._velocity[row] = direction * number(registers.present_velocity) * model.velocity_unit
         current = number(registers.present_current) * model.current_unit
@@ -349,9 +352,8 @@ class DynamixelServos(Device):
             ailments.append(Ailment(unit, Fault.LOW_VOLTAGE, f"{record.voltage:.1f} V; {limit}"))
         if answer.alert and not ailments:
             ailments.append(Ailment(unit, Fault.FAULTY, "it reports a hardware error"))
-        if answer.alert:
-            servo.torque = False  # until its table says that it is on
-        if self._enabled and not servo.torque:
+        servo.alert = answer.alert
+        if self._enabled and not servo.torque and self._is_wanted(servo):
             ailments.append(Ailment(unit, Fault.DISABLED, "its motor is off"))
         if [(each.fault, each.unit) for each in ailments] != [(each.fault, each.unit) for each in servo.ailments]:
             servo.ailments = tuple(ailments)
@@ -397,6 +399,8 @@ class DynamixelServos(Device):
             try:
                 if not servo.present:
                     self._welcome(servo)
+                if servo.alert:  # what is wrong may have switched it off
+                    servo.torque = self._is_on(servo)
                 if self._enabled and not servo.torque and not servo.jumped and self._is_wanted(servo):
                     self._revive(servo)
             except (DynamixelError, DeviceError) as error:
@@ -406,10 +410,14 @@ class DynamixelServos(Device):
         """Take a servo back that had been gone, if it is the same one."""
         assert self._port is not None
         self._identify(servo)
-        servo.torque = bool(self._port.read(servo.table.id, servo.registers.torque_enable))
+        servo.torque = self._is_on(servo)
         servo.present, servo.missed = True, 0
         self._forget(servo)
         self._group()
+
+    def _is_on(self, servo: _Servo) -> bool:
+        assert self._port is not None
+        return bool(self._port.read(servo.table.id, servo.registers.torque_enable))
 
     @staticmethod
     def _forget(servo: _Servo) -> None:
@@ -424,9 +432,10 @@ class DynamixelServos(Device):
         return command is not None and command.mode[servo.row] != JointMode.OFF
 
     def _revive(self, servo: _Servo) -> None:
-        """Switch a servo on; one that had been too hot is started anew when it has cooled down."""
+        """Switch a servo on; one that had been too hot is started anew when it has cooled down, and has its voltage."""
         assert self._port is not None
-        if servo.record.temperature > servo.model.temperature_limit - COOL:
+        record, model = servo.record, servo.model
+        if record.temperature > model.temperature_limit - COOL or record.voltage < LOW_VOLTAGE * model.voltage:
             return
         if self._port.read(servo.table.id, servo.registers.hardware_error):
             self._port.reboot(servo.table.id)
