@@ -32,7 +32,7 @@ PROCESSES: tuple[Process, ...] = (
     #       name                    module                  description                              needs          ROS    CPU [%] memory [MiB]
     Process("bifrostd",             "bifrost.daemon",       "who publishes what",                    (),            False,  5.0,   60.0),
     Process("device_emulators",     "device_emulators",     "the devices' far ends, without a robot", ("bifrostd",), False, 80.0, 150.0, hardware_only=True, priority=-10),
-    Process("hdt_driver",           "hdt_driver",           "the vendor's driver of the HDT arms",   ("bifrostd",), True,  25.0,  110.0, after=("device_emulators",), device="hdt_bifrost", hardware_only=True),
+    Process("hdt_driver",           "hdt_driver",           "the vendor's driver of the HDT arms",   ("bifrostd",), True,  25.0,  110.0, after=("device_emulators",), device="hdt_bifrost", hardware_only=True, priority=-5),
     Process("hdt_bridge",           "hdt_bridge",           "Bifrost to the HDT driver's ROS",       ("bifrostd",), True,  25.0,  110.0, device="hdt_bifrost", hardware_only=True, priority=-5),
     Process("comms_manager",        "comms_manager",        "the robot's hardware in one place",     ("bifrostd",), False, 45.0,  150.0, after=("device_emulators", "hdt_driver", "hdt_bridge"), priority=-10),
     Process("motion_manager",       "motion_manager",       "state machines and whole-body control", ("bifrostd",), False, 70.0,  150.0, priority=-10),

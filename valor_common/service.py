@@ -17,7 +17,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from types import FrameType
 from typing import Protocol, Self
 
@@ -25,12 +24,12 @@ import bifrost
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
 from valor_common.messages import Statistics
+from valor_common.priority import take_priority
 from valor_common.processes import BY_NAME
 from valor_common.robot import RobotDescription
 from valor_common.topics import STATISTICS
 
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the service again
-_AUTOGROUP = Path("/proc/self/autogroup")
 _LOG_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
 
 
@@ -46,7 +45,7 @@ class Context:
         self.instance = instance
         self.settings: Settings = instance.settings()
         if self.settings.variant == "hardware":
-            _take_priority(BY_NAME[name].priority)
+            take_priority(BY_NAME[name].priority)
         self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
         self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
@@ -58,18 +57,6 @@ class Context:
     def __exit__(self, *exception: object) -> None:
         self.statistics.state("stopping")
         self.node.close()
-
-
-def _take_priority(niceness: int) -> None:
-    """Go before other processes, where that is granted: a robot does not wait until somebody's compiler is done."""
-    if niceness >= 0:
-        return
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, niceness)
-    # Linux shares the processor among sessions first, and only within one by nice values (sched(7), autogroup).
-    with contextlib.suppress(OSError, ValueError):
-        if int(_AUTOGROUP.read_text().split()[-1]) > niceness:
-            _AUTOGROUP.write_text(str(niceness))
 
 
 class Service(Protocol):

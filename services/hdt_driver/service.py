@@ -20,6 +20,8 @@ from valor_common.devices.ports import open_can
 from valor_common.devices.table import HdtBifrost
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
+from valor_common.priority import take_priority
+from valor_common.processes import BY_NAME
 from valor_common.robot import RobotDescription
 
 DIAGNOSE_EVERY = 1.0  # and at every change of state [s]
@@ -152,6 +154,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, stop)
     try:
         settings = Instance.from_environment().settings()
+        take_priority(BY_NAME["hdt_driver"].priority)
         driver = HdtDriver(settings, RobotDescription.load(settings.robot))
     except ConfigurationError as error:
         _log.error("%s", error)
