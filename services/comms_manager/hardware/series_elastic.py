@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 
@@ -123,7 +124,8 @@ class SeriesElastic(CanDevice):
         assert isinstance(unit, _Controller)
         _, status, _, *axes = can_frames.CONTROLLER_STATE.unpack_from(data)
         now = time.monotonic_ns()
-        elapsed = 1e-9 * (now - unit.record.stamp) if unit.record.stamp else 1e9
+        # By its own clock since the last state that was believed: a computer that stalls does not make jumps plausible.
+        elapsed = math.inf if unit.clock is None else 1e-6 * ((int(axes[11]) - unit.clock) & 0xFFFFFFFF)
         encoder, raw = self._encoder, self._raw
         jumped = [
             row
@@ -243,6 +245,6 @@ class SeriesElastic(CanDevice):
         position: FloatVector = self._encoder - self._offset
         return all(
             command.mode[row] == JointMode.OFF
-            or (command.mode[row] == JointMode.POSITION and abs(command.position[row] - position[row]) < ENABLE_WITHIN)
+            or (command.mode[row] != JointMode.FORCE and abs(command.position[row] - position[row]) < ENABLE_WITHIN)
             for row in rows
         )
