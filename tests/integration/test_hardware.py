@@ -1,0 +1,223 @@
+"""The hardware variant: real processes, real ports, emulated devices that fail; and a start that is refused."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
+from valor_common.messages import (
+    BehaviorReply,
+    BehaviorRequest,
+    DeviceStatus,
+    FaultReply,
+    FaultRequest,
+    GroundTruth,
+    MotionState,
+    Proprioceptor,
+)
+from valor_common.service import EXIT_CONFIGURATION
+from valor_common.topics import BEHAVIOR, DEVICES, FAULT, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+
+PATIENCE = 60.0  # [s]
+PROCESSES = ("device_emulators", "hdt_driver", "hdt_bridge", "comms_manager", "motion_manager")
+UPRIGHT = 0.7  # of the pelvis: lower, it has fallen [m]
+
+
+class Bench:
+    """A robot on its devices, and who lets them fail."""
+
+    def __init__(self, running: RunningInstance) -> None:
+        node = running.node()
+        self._devices = node.subscriber(DEVICES.name, DeviceStatus)
+        self._states = node.subscriber(MOTION_STATE.name, MotionState)
+        self._truth = node.subscriber(GROUND_TRUTH.name, GroundTruth)
+        self._behavior = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self._fault = node.client(FAULT.name, FaultRequest, FaultReply)
+        self._status: DeviceStatus | None = None
+        self._state: MotionState | None = None
+        self.running = running
+
+    @property
+    def status(self) -> DeviceStatus:
+        """The newest word on the devices."""
+        if received := self._devices.latest() or (self._status is None and self._devices.receive(PATIENCE)):
+            self._status = received.message
+        assert self._status is not None
+        return self._status
+
+    @property
+    def behavior(self) -> str:
+        """Of the Motion System."""
+        return self.state.behavior
+
+    @property
+    def state(self) -> MotionState:
+        """Its newest."""
+        if received := self._states.latest() or (self._state is None and self._states.receive(PATIENCE)):
+            self._state = received.message
+        assert self._state is not None
+        return self._state
+
+    def unit(self, name: str) -> tuple[str, str, float]:
+        """State, detail and errors of a unit."""
+        status = self.status
+        place = status.units.index(name)
+        return status.states[place], status.details[place], float(status.errors[place])
+
+    def fail(self, unit: str, fault: str, duration: float = 0.0) -> None:
+        """Let a unit fail; an empty fault ends all of its device."""
+        device, _, name = unit.partition("/")
+        reply = self._fault.call(FaultRequest(device, name or device, fault, duration), timeout=PATIENCE)
+        assert reply.accepted, reply.reason
+
+    def stand(self) -> None:
+        """From wherever it stands now: by way of Stand Prep, where it is held."""
+
+        def stands() -> bool:
+            behavior = self.behavior
+            if behavior != "stand":
+                wanted = "stand_prep" if behavior in ("freeze", "idle") else "stand"
+                self._behavior.call(BehaviorRequest(wanted), timeout=PATIENCE)
+            return behavior == "stand"
+
+        wait_until(stands, PATIENCE, "it stands", period=0.1)
+
+    def height(self) -> float:
+        """Of the pelvis, in truth [m]."""
+        received = self._truth.receive(PATIENCE)
+        assert received is not None
+        return float(received.message.pelvis_position_in_world[2])
+
+
+@pytest.fixture(scope="module")
+def bench(ros_domain: int) -> Iterator[Bench]:
+    home = Path(tempfile.mkdtemp(prefix="valor-"))
+    try:
+        with fresh_instance(home, ros_domain) as running:
+            running.configure(variant="hardware", control_rate=250.0, epoch=time.monotonic_ns())
+            for name in PROCESSES[:3]:
+                running.start(name)
+            running.wait_ready("device_emulators", PATIENCE)
+            running.wait_ready("hdt_bridge", PATIENCE)
+            for name in PROCESSES[3:]:
+                running.start(name)
+            running.wait_ready("comms_manager", PATIENCE)
+            running.wait_ready("motion_manager", PATIENCE)
+            yield Bench(running)
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
+
+
+@pytest.fixture
+def standing(bench: Bench) -> Iterator[Bench]:
+    """In Stand, with every device well; it still stands afterwards."""
+    wait_until(lambda: all(state == "ok" for state in bench.status.states), PATIENCE, "every device is well")
+    bench.stand()
+    yield bench
+    for device in ("legs", "force_torque", "imu"):
+        bench.fail(device, "")
+    assert bench.height() > UPRIGHT
+
+
+def test_it_stands_on_its_devices(standing: Bench) -> None:
+    status = standing.status
+    assert {unit.split("/")[0] for unit in status.units} == {"force_torque", "imu", "neck", "hdt", "legs"}
+    assert len([unit for unit in status.units if unit.startswith("legs/")]) == 7
+    assert (status.reaction, status.reason) == ("keep_balance", "")
+    received = standing.running.node("looker").subscriber(PROPRIOCEPTOR.name, Proprioceptor).receive(PATIENCE)
+    assert received is not None
+    weight = received.message.left_foot_wrench[2] + received.message.right_foot_wrench[2]
+    assert 300.0 < weight < 1500.0
+    assert 0.75 < standing.height() < 0.85
+
+
+@pytest.mark.parametrize("fault", ["silent", "garbage", "bad_checksum", "late"])
+def test_a_hand_sensor_that_cannot_be_believed_is_named_and_balance_goes_on(standing: Bench, fault: str) -> None:
+    before = standing.unit("force_torque/3")[2]
+    standing.fail("force_torque/3", fault)
+    wait_until(lambda: standing.unit("force_torque/3")[0] == "silent", PATIENCE, "the sensor is told to be silent")
+    assert standing.behavior == "stand"
+    standing.fail("force_torque", "")
+    wait_until(lambda: standing.unit("force_torque/3")[0] == "ok", PATIENCE, "it is back by itself")
+    assert standing.behavior == "stand"
+    if fault != "silent":
+        wait_until(lambda: standing.unit("force_torque/3")[2] > before, PATIENCE, "what was refused is counted")
+
+
+def test_duplicates_are_refused_and_harm_nobody(standing: Bench) -> None:
+    before = standing.unit("legs/3")[2]
+    standing.fail("legs/3", "duplicate")
+    wait_until(lambda: standing.unit("legs/3")[2] > before + 20, PATIENCE, "duplicates are counted")
+    assert standing.unit("legs/3")[0] == "ok"
+    assert standing.behavior == "stand"
+
+
+@pytest.mark.parametrize(
+    ("unit", "fault", "words"),
+    [
+        ("legs/1", "under_voltage", "40.0 V"),
+        ("legs/5", "over_temperature", "90 °C"),
+        ("force_torque/1", "silent", "no sound state"),
+    ],
+)
+def test_the_robot_comes_to_rest_and_stays_there_until_told(standing: Bench, unit: str, fault: str, words: str) -> None:
+    standing.fail(unit, fault)
+    wait_until(lambda: standing.behavior == "soft_stop", PATIENCE, "soft stop")
+    assert standing.state.reason.startswith(f"{unit}: ") and words in standing.state.reason
+    assert standing.status.reaction == "soft_stop"
+    standing.fail(unit.split("/", maxsplit=1)[0], "")
+    wait_until(lambda: standing.status.reaction == "keep_balance", PATIENCE, "the unit is well again")
+    assert standing.behavior == "soft_stop"
+
+
+def test_a_leg_controller_that_is_silent_has_the_joints_held(standing: Bench) -> None:
+    standing.fail("legs/7", "silent")
+    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
+    assert standing.state.reason.startswith("legs/7: no sound state")
+
+
+def test_a_controller_that_lost_its_power_is_found_and_switched_on_again(standing: Bench) -> None:
+    standing.fail("legs/7", "unplugged")
+    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
+    standing.fail("legs", "")
+    wait_until(lambda: standing.unit("legs/7")[0] == "ok", PATIENCE, "its motors are on")
+    assert "legs/7: its motors are off" in standing.running.log("comms_manager")
+
+
+def test_the_imu_is_unplugged_and_plugged_in_again(standing: Bench) -> None:
+    standing.fail("imu", "unplugged")
+    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
+    assert standing.state.reason.startswith("imu")
+    standing.fail("imu", "")
+    wait_until(lambda: standing.unit("imu")[0] == "ok", PATIENCE, "it is found again")
+
+
+def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:
+    """The last one: only a restart takes it back."""
+    standing.fail("legs/7", "encoder_jump")
+    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
+    assert "the encoder of waist_yaw jumped" in standing.state.reason
+    standing.fail("legs", "")
+    status = standing.status
+    wait_until(lambda: standing.status is not status, PATIENCE, "another word")
+    assert standing.unit("legs/7")[0] == "faulty"
+
+
+def test_a_start_with_another_device_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
+    instance.configure(variant="hardware", control_rate=250.0)
+    instance.start("device_emulators", wait=True)
+    other = tmp_path / "escher"
+    shutil.copytree(ROBOTS / "escher", other)
+    table = (other / "robot.yaml").read_text()
+    (other / "robot.yaml").write_text(table.replace("FT-45-0118", "FT-45-9999"))
+    instance.configure(robot=other)
+    process = instance.start("comms_manager")
+    assert process.wait(PATIENCE) == EXIT_CONFIGURATION
+    expected = "force_torque/2: serial number 'FT-45-0118'; expected 'FT-45-9999' (robot.yaml)"
+    assert expected in instance.log("comms_manager")
