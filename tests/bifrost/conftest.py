@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -46,7 +48,16 @@ def net(lasting_network: BifrostNetwork) -> Iterator[BifrostNetwork]:
 @pytest.fixture
 def two_computers(tmp_path: Path) -> Iterator[BifrostNetwork]:
     """Two computers, near and far, that are two addresses of the loopback interface; no daemon runs yet."""
-    port = random.SystemRandom().randrange(20000, 32768)
+    port = _free_port()
     made = BifrostNetwork(tmp_path, [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)])
     yield made
     made.close()
+
+
+def _free_port() -> int:
+    """One that nobody listens on, on whichever address."""
+    while True:
+        port = random.SystemRandom().randrange(20000, 32768)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("0.0.0.0", port))
+            return port
