@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from comms_manager.hardware import kinds as drivers
 from comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault
 from device_emulators import kinds as emulators
@@ -39,6 +41,16 @@ class Bench:
             with self.lock:
                 self.robot.advance(1)
                 self.emulator.step(time.monotonic(), self.robot)
+
+    def let_go(self) -> None:
+        """Let the world move; the robot stands on its legs' servos, so that nothing else falls on the device."""
+        groups = self.description.tables.groups
+        names = [joint for group in ("left_leg", "right_leg", "torso") for joint in groups[group]]
+        legs = np.array([self.description.index[name] for name in names], dtype=np.intp)
+        with self.lock:
+            self.robot.power(legs, True)
+            self.robot.hold(legs)
+        assert self.robot.released
 
     def inject(self, unit: str, fault: EmulatedFault) -> None:
         """Let a unit fail until ``heal``."""

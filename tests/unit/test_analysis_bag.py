@@ -131,7 +131,7 @@ def test_another_robots_bag_is_refused(file: Path) -> None:
     tables = ROBOT.tables
     joints = {name: joint for name, joint in tables.joints.items() if name != "lidar_roll"}
     groups = {name: members for name, members in tables.groups.items() if "lidar_roll" not in members}
-    thor = msgspec.structs.replace(tables, name="thor", joints=joints, groups=groups)
+    thor = msgspec.structs.replace(tables, name="thor", joints=joints, groups=groups, devices={})
     other = RobotDescription(ROBOT.folder, thor)
     with pytest.raises(BagError, match=r"38 joints in 'joint_position'; robot 'thor' has 37"):
         Recording(Bag(file), other).measured()

@@ -28,10 +28,7 @@ HEAD = ("neck_yaw", "neck_pitch")
 @pytest.fixture
 def bench(home: Path) -> Iterator[Bench]:
     bench = Bench(ROBOT, "neck", home)
-    with bench.lock:
-        bench.robot.released = (
-            True  # the world moves; the legs, without devices, are limp, and the head works in falling
-        )
+    bench.let_go()
     yield bench
     bench.close()
 
@@ -232,8 +229,7 @@ def test_an_arm_of_another_series_with_its_gripper_on_the_same_bus(home: Path) -
     thor = RobotDescription.load(ROBOTS / "thor")
     bench = Bench(thor, "right_arm", home)
     try:
-        with bench.lock:
-            bench.robot.released = True
+        bench.let_go()
         with bench.running() as driver:
             nominal = thor.nominal_posture[driver.joints]
             for row, angle in enumerate(nominal):
