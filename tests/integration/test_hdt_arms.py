@@ -115,13 +115,17 @@ def bench() -> Iterator[Bench]:
         first = {name: node.subscriber(f"comms_manager/hdt/{name}/command", HdtCommand, queue=1000) for name in LIMBS}
         for device in devices:
             device.find()
-        wait_until(
-            lambda: all(each.ready() or each.publishers for each in first.values()),
-            PATIENCE,
-            "hearing the first commands",
-        )
         for device in devices:
             device.enable()
+
+        def heard() -> bool:
+            """Who is connected after the limbs have answered hears nothing; so they are told once more."""
+            for limb in hdt._limbs:
+                limb.answered = False
+            hdt.enable()
+            return all(each.ready() for each in first.values())
+
+        wait_until(heard, PATIENCE, "the first commands are heard")
         begun = {name: _first_position(first[name], name) for name in LIMBS}
         assert isinstance(hdt.measured, JointMeasurement)
         there = hdt.measured.position
