@@ -80,7 +80,6 @@ class Hardware(Backend):
         self._admitted = 0
         self._motor_sequence = 0
         self._held: FloatVector | None = None
-        self._time = time.monotonic_ns() - context.settings.epoch  # robot time of the newest states [ns]
         self._lost = False  # the leg controllers' clock is: a period is a period
         self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
         self._begin()
@@ -90,7 +89,7 @@ class Hardware(Backend):
         self._voltage = NOMINAL_VOLTAGE
 
     def _require_all_joints(self) -> None:
-        """Raise ``ConfigurationError`` unless each joint is moved by a device, and there is an IMU and foot sensors."""
+        """Raise ``ConfigurationError`` unless each joint is moved by a device."""
         robot = self._robot
         moved = {joint for name in robot.tables.devices for joint in robot.tables.device_joints(name)}
         if missing := [joint for joint in robot.joints if joint not in moved]:
@@ -115,7 +114,7 @@ class Hardware(Backend):
         for _ in range(2):
             self._sample()
         self._elapsed = self._reference.elapsed if self._reference else 0
-        self._time = time.monotonic_ns() - self._context.settings.epoch
+        self._time = time.monotonic_ns() - self._context.settings.epoch  # robot time of the newest states [ns]
 
     def _sample(self) -> None:
         for device in self._synchronous:

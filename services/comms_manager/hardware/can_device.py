@@ -156,7 +156,7 @@ class CanDevice(Device):
                     self._tended = now
                     self._tend()
             except can.CanError as error:  # the bus itself fails: units fall silent, and that is told
-                self.tell([Ailment(next(iter(self.records)).unit, Fault.UNPLUGGED, f"CAN bus {self._number}: {error}")])
+                self.tell([Ailment(self.records[0].unit, Fault.UNPLUGGED, f"CAN bus {self._number}: {error}")])
                 stopping.wait(_IDLE)
 
     def _is_over(self) -> bool:

@@ -52,12 +52,8 @@ REACTIONS: Mapping[Fault, Mapping[Part, Reaction]] = {
 }
 """Besides it: two leg units or more without motors, and the robot goes limp."""
 
-_STATES: Mapping[Fault, str] = {
-    Fault.SILENT: "silent",
-    Fault.UNPLUGGED: "unplugged",
-    Fault.DISABLED: "disabled",
-}
-"""``DeviceStatus.states`` by the worst fault; all others are ``faulty``."""
+_STATES = (Fault.UNPLUGGED, Fault.SILENT, Fault.DISABLED)
+"""Faults that are words of ``DeviceStatus.states``, the worst first; all others are ``faulty``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +200,9 @@ class DeviceWatch:
 
 
 def _state(troubles: Sequence[Trouble]) -> str:
-    for fault in (Fault.UNPLUGGED, Fault.SILENT, Fault.DISABLED):
+    for fault in _STATES:
         if any(trouble.fault is fault for trouble in troubles):
-            return _STATES[fault]
+            return str(fault)
     return "faulty" if troubles else "ok"
 
 
