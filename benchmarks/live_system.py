@@ -147,11 +147,16 @@ def _heading(orientation: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class System:
-    """One running system, and who listens to it."""
+    """One running system, and who listens to it.
+
+    Attributes:
+        up: how long it took to start [s].
+    """
 
     instance: Instance
     node: bifrost.Node
     observer: Observer
+    up: float
 
     def mode(self, name: str) -> None:
         """Go to a control mode.
@@ -195,12 +200,14 @@ def running(instance: Instance, options: dict[str, object], tell: Callable[[str]
         if done.returncode:
             raise ValorError(f"valorctl {' '.join(arguments)}: {done.stderr.strip()}")
 
+    began = time.monotonic()
     valorctl("up", *(str(each) for name, value in options.items() for each in (f"--{name}", value)))
+    up = time.monotonic() - began
     try:
         robot = RobotDescription.load(instance.settings().robot)
         with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
             observer = Observer(node, robot, tell)
             observer.wait(lambda _: False, SETTLING)
-            yield System(instance, node, observer)
+            yield System(instance, node, observer, up)
     finally:
         valorctl("down")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -10,10 +11,13 @@ import pytest
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.conftest import ROBOTS
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from tests.unit.whole_body.plan_walk import walk_plan
+from valorctl.step_planner import plan_to
 
 SPEED = 0.3  # [m/s]
 DURATION = 3.0  # [s]
 REACHING = 1.5  # [s]
+IMPULSE = 15.0  # of a push [N·s]
 OTHERS = sorted(file.parent.name for file in ROBOTS.glob("*/robot.yaml") if file.parent.name != "escher")
 
 
@@ -55,3 +59,25 @@ def reach(loop: ClosedLoop, side: Literal["left", "right"], preset: str) -> None
         loop.step()
     reference.position[arm], reference.velocity[arm] = goal, 0.0
     loop.run(0.5)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_it_takes_a_footstep_plan(name: str) -> None:
+    robot = load_robot(name)
+    assert robot.tables.footsteps is not None
+    steps = plan_to((0.25, 0.1, 0.3), robot.tables.footsteps, robot.tables.walking)
+    walked = walk_plan(robot, steps, seed=2)
+    assert walked.done, walked
+    assert walked.true[0] < 0.03 and walked.true[1] < math.radians(3.0), walked
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_it_stands_pushes(name: str) -> None:
+    loop = ClosedLoop(load_robot(name), "hardware", seed=2)
+    loop.settle(0.3)
+    loop.run(1.5)
+    for direction in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)):
+        loop.plant.push(IMPULSE * np.array(direction), 0.1)
+        loop.run(2.5)
+    assert loop.fall is None
+    assert np.hypot(*(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2]) < 0.02
