@@ -1,7 +1,9 @@
 #!/usr/bin/env python3
 """Stand, free the arms, reach with the right one, look aside, and come back: an ordinary ROS 2 client of the robot.
 
-It knows public names and messages only. Start it where the robot's ROS 2 side can be heard (same ROS_DOMAIN_ID):
+It knows public names and messages only, and no robot: which joints an arm has it asks the controller manager, how far
+and how fast they turn it reads in /robot_description. Start it where the robot's ROS 2 side can be heard (same
+ROS_DOMAIN_ID):
 
     python stand_and_reach.py [--json FILE]
 
@@ -21,11 +23,13 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import rclpy
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
+from controller_manager_msgs.srv import ListControllers
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
@@ -33,31 +37,29 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectoryPoint
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
 MODE_TOPIC = "/flor/controller/mode"
 MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
-ARM_ACTION = "/trajectory_controllers/right_arm_traj_controller/follow_joint_trajectory"
-NECK_ACTION = "/trajectory_controllers/neck_traj_controller/follow_joint_trajectory"
+CONTROLLERS = "/controller_manager/list_controllers"
+ARM, NECK = "right_arm_traj_controller", "neck_traj_controller"
 
-# Postures [rad]; what is not named is 0. HOME is how the arm hangs in control mode "stand".
-HOME = {"r_shoulder_pitch": 0.5, "r_shoulder_roll": -0.2, "r_elbow_pitch": 0.5}
-FORWARD = {"r_shoulder_pitch": -0.7, "r_shoulder_roll": -0.15, "r_elbow_pitch": 0.3, "r_wrist_pitch": 0.2}
-ASIDE = {
-    "r_shoulder_pitch": -0.9, "r_shoulder_roll": -0.6, "r_shoulder_yaw": -0.3,
-    "r_elbow_pitch": 0.9, "r_elbow_roll": 0.4,
+# Postures [rad] by how a joint's name ends. What is not named is 0; what a robot has no such joint for is left out.
+Posture = dict[str, float]
+FORWARD: Posture = {"shoulder_pitch": -0.7, "shoulder_roll": -0.15, "elbow_pitch": 0.3, "wrist_pitch": 0.2}
+ASIDE: Posture = {
+    "shoulder_pitch": -0.9, "shoulder_roll": -0.6, "shoulder_yaw": -0.3, "elbow_pitch": 0.9, "elbow_roll": 0.4,
 }  # fmt: skip
-LOOK_ASIDE = {"neck_yaw": -0.5, "neck_pitch": 0.25}
-LOOK_AHEAD: dict[str, float] = {}
-ARM = (
-    "r_shoulder_pitch", "r_shoulder_roll", "r_shoulder_yaw", "r_elbow_pitch",
-    "r_elbow_roll", "r_wrist_pitch", "r_wrist_yaw",
-)  # fmt: skip
-NECK = ("neck_yaw", "neck_pitch")
+LOOK_ASIDE: Posture = {"yaw": -0.5, "pitch": 0.25}
+LOOK_AHEAD: Posture = {}
+REACH = ("shoulder_pitch", "elbow_pitch")  # without these, an arm does not reach
 
 TOLERANCE = 0.02  # [rad]
+SPEED = 0.5  # most of a joint's speed limit, on average between two points
+MARGIN = 0.02  # to a joint's stops [rad]
 SETTLE = 0.7  # of robot time, from a goal's end until the final joint positions are taken [s]
 AVERAGE = 0.3  # of robot time, over which they are averaged [s]
 DISCOVERY = 20.0  # for topics and actions to appear [s]
@@ -91,6 +93,15 @@ class Motion:
     pelvis_displacement: float  # largest horizontal, while it moved [cm]
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Of a joint."""
+
+    lower: float  # [rad]
+    upper: float  # [rad]
+    velocity: float  # [rad/s]
+
+
 class Robot:
     """The robot as this client hears it."""
 
@@ -103,6 +114,7 @@ class Robot:
         self.joints: dict[str, float] = {}
         self.pelvis: tuple[float, float] | None = None  # in odom [m]
         self.clock: float | None = None  # robot time [s]
+        self.limits: dict[str, Limits] = {}  # by joint
         self._joint_listeners: list[Callable[[dict[str, float]], None]] = []
         self._pelvis_listeners: list[Callable[[tuple[float, float]], None]] = []
         self._clock_first: tuple[float, float] | None = None  # robot time, wall time [s]
@@ -115,10 +127,16 @@ class Robot:
         self.node.create_subscription(ControlModeStatus, MODE_TOPIC, self._hear_mode, latched)
         self.node.create_subscription(JointState, "/joint_states", self._hear_joints, qos_profile_sensor_data)
         self.node.create_subscription(Odometry, "/odom", self._hear_odometry, qos_profile_sensor_data)
+        self.node.create_subscription(String, "/robot_description", self._hear_description, latched)
         self.node.create_subscription(Clock, "/clock", self._hear_clock, qos_profile_sensor_data)
         self.modes = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
-        self.arm = ActionClient(self.node, FollowJointTrajectory, ARM_ACTION)
-        self.neck = ActionClient(self.node, FollowJointTrajectory, NECK_ACTION)
+        self.controllers = self.node.create_client(ListControllers, CONTROLLERS)
+        self.actions = {
+            name: ActionClient(
+                self.node, FollowJointTrajectory, f"/trajectory_controllers/{name}/follow_joint_trajectory"
+            )
+            for name in (ARM, NECK)
+        }
 
     def _hear_mode(self, status: ControlModeStatus) -> None:
         self.mode = status.current_control_mode
@@ -133,6 +151,12 @@ class Robot:
         self._stamp_first = self._stamp_first or self._stamp
         for listener in self._joint_listeners:
             listener(self.joints)
+
+    def _hear_description(self, description: String) -> None:
+        for joint in ElementTree.fromstring(description.data).iterfind("joint"):
+            if (limit := joint.find("limit")) is not None:
+                lower, upper = (float(limit.get(name, f"{turn}inf")) for name, turn in (("lower", "-"), ("upper", "")))
+                self.limits[joint.get("name", "")] = Limits(lower, upper, float(limit.get("velocity", "inf")))
 
     def _hear_odometry(self, odometry: Odometry) -> None:
         position = odometry.pose.pose.position
@@ -179,9 +203,10 @@ class Robot:
             f"topic {MODE_TOPIC}": lambda: self.mode is not None,
             "topic /joint_states": lambda: self.joints,
             "topic /odom": lambda: self.pelvis is not None,
+            "topic /robot_description": lambda: self.limits,
+            f"service {CONTROLLERS}": self.controllers.service_is_ready,
             f"action {MODE_ACTION}": self.modes.server_is_ready,
-            f"action {ARM_ACTION}": self.arm.server_is_ready,
-            f"action {NECK_ACTION}": self.neck.server_is_ready,
+            **{f"action of {name}": client.server_is_ready for name, client in self.actions.items()},
         }
         try:
             self.wait(lambda: all(present() for present in needs.values()), DISCOVERY, "")
@@ -190,6 +215,31 @@ class Robot:
             raise ClientError(
                 f"not there within {DISCOVERY:g} s: {absent}; is the robot up, and ROS_DOMAIN_ID the robot's?"
             ) from None
+
+    def joints_of(self, controller: str) -> list[str]:
+        """The joints that a trajectory controller moves.
+
+        Raises:
+            ClientError: nobody says, there is no such controller, or a joint of it has no limits.
+        """
+        asked = self.controllers.call_async(ListControllers.Request())
+        self.wait(asked.done, DISCOVERY, f"{CONTROLLERS}: no answer within {DISCOVERY:g} s")
+        interfaces = {each.name: each.required_command_interfaces for each in asked.result().controller}
+        if controller not in interfaces:
+            raise ClientError(f"{CONTROLLERS} knows no {controller}")
+        joints = [name.removesuffix("/position") for name in interfaces[controller] if name.endswith("/position")]
+        if absent := [joint for joint in joints if joint not in self.limits]:
+            raise ClientError(f"/robot_description has no limits of {', '.join(absent)}")
+        return joints
+
+    def posture(self, joints: list[str], named: Posture) -> dict[str, float]:
+        """Every joint's position [rad]: as named by the end of its name, else 0; between its stops."""
+        positions = {}
+        for joint in joints:
+            limits = self.limits[joint]
+            wanted = next((angle for end, angle in named.items() if joint.endswith(end)), 0.0)
+            positions[joint] = min(max(wanted, limits.lower + MARGIN), limits.upper - MARGIN)
+        return positions
 
     def change_mode(self, mode: str) -> ModeChange:
         """Ask for a control mode and wait until the robot is in it."""
@@ -205,17 +255,19 @@ class Robot:
         self.wait(lambda: self.mode == mode, MODE_CHANGE, f"{MODE_TOPIC} still says {self.mode!r}, not {mode!r}")
         return ModeChange(mode, latency)
 
-    def follow(self, name: str, client: ActionClient, points: list[tuple[float, dict[str, float]]]) -> Motion:
+    def follow(self, name: str, controller: str, points: list[tuple[float, dict[str, float]]]) -> Motion:
         """Move joints along a trajectory and measure where they end.
 
         Args:
             name: for people.
-            client: of the controller.
-            points: when [s] and where [rad], all of the same joints.
+            controller: whose joints they are.
+            points: when at the earliest [s] and where [rad], all of the same joints.
         """
+        client = self.actions[controller]
         goal = FollowJointTrajectory.Goal()
         joints = goal.trajectory.joint_names = list(points[0][1])
         start = {joint: self.joints[joint] for joint in joints}
+        points = self._in_time(start, points)
         speeds = velocities([(0.0, start), *points])
         for (when, positions), speed in zip(points, speeds[1:], strict=True):
             point = JointTrajectoryPoint(
@@ -237,13 +289,25 @@ class Robot:
         took = time.monotonic() - began
         if state != GoalStatus.STATUS_SUCCEEDED or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
             raise ClientError(f"{name}: error {result.error_code}: {result.error_string or 'no reason given'}")
-        settled = self._settled(joints)
+        settled = self.settled(joints)
         self._pelvis_listeners.remove(keep_farthest)
         errors = {joint: abs(settled[joint] - points[-1][1][joint]) for joint in joints}
         worst = max(errors, key=lambda joint: errors[joint])
         return Motion(name, result.error_code, took, worst, errors[worst], errors, 100.0 * farthest[0])
 
-    def _settled(self, joints: list[str]) -> dict[str, float]:
+    def _in_time(
+        self, start: dict[str, float], points: list[tuple[float, dict[str, float]]]
+    ) -> list[tuple[float, dict[str, float]]]:
+        """The points, later where a joint would have to be faster than it should."""
+        timed, before, elapsed, last = [], start, 0.0, 0.0
+        for when, positions in points:
+            slowest = max(abs(positions[joint] - before[joint]) / self.limits[joint].velocity for joint in positions)
+            elapsed += max(when - last, slowest / SPEED)
+            timed.append((elapsed, positions))
+            before, last = positions, when
+        return timed
+
+    def settled(self, joints: list[str]) -> dict[str, float]:
         """Mean joint positions [rad], once the joints have come to rest."""
         self.wait_robot_time(SETTLE)
         sums, count = dict.fromkeys(joints, 0.0), [0]
@@ -326,30 +390,29 @@ def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
         changes.append(robot.change_mode(mode))
         say(f"control mode {mode} after {1e3 * changes[-1].latency:.0f} ms")
 
-    def follow(name: str, client: ActionClient, *points: tuple[float, dict[str, float]]) -> None:
-        motions.append(robot.follow(name, client, list(points)))
+    def follow(name: str, controller: str, *points: tuple[float, dict[str, float]]) -> None:
+        motions.append(robot.follow(name, controller, list(points)))
         motion = motions[-1]
         say(
             f"{name}: done in {motion.seconds:.1f} s, largest error {motion.max_error:.4f} rad ({motion.worst_joint}), "
             f"pelvis moved {motion.pelvis_displacement:.2f} cm"
         )
 
+    arm, neck = (robot.joints_of(controller) for controller in (ARM, NECK))
+    if absent := [end for end in REACH if not any(joint.endswith(end) for joint in arm)]:
+        raise ClientError(f"{ARM} moves {', '.join(arm)}: to reach, it needs {' and '.join(absent)}")
     if robot.mode != "stand":
         change("stand")
+    home = robot.settled(arm)
     change("stand_manipulate")
-    home, forward, aside = (posture(ARM, named) for named in (HOME, FORWARD, ASIDE))
-    look_aside, look_ahead = (posture(NECK, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
-    follow("right arm forward, then aside", robot.arm, (2.5, forward), (4.5, aside))
-    follow("neck looks at the hand", robot.neck, (1.5, look_aside))
-    follow("right arm home", robot.arm, (2.0, forward), (4.5, home))
-    follow("neck ahead", robot.neck, (1.5, look_ahead))
+    forward, aside = (robot.posture(arm, named) for named in (FORWARD, ASIDE))
+    look_aside, look_ahead = (robot.posture(neck, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
+    follow("right arm forward, then aside", ARM, (2.5, forward), (4.5, aside))
+    follow("neck looks at the hand", NECK, (1.5, look_aside))
+    follow("right arm home", ARM, (2.0, forward), (4.5, home))
+    follow("neck ahead", NECK, (1.5, look_ahead))
     change("stand")
     return changes, motions
-
-
-def posture(joints: tuple[str, ...], named: dict[str, float]) -> dict[str, float]:
-    """Every joint's position [rad]: as named, else 0."""
-    return {joint: named.get(joint, 0.0) for joint in joints}
 
 
 def say(line: str) -> None:

@@ -25,11 +25,12 @@ GROUPS = ("right_arm", "neck")
 _PROGRAM_TIMEOUT = 300.0  # [s]
 
 
-def run(instance: Instance, out: Path, progress: Progress, interruption: Interruption) -> None:
+def run(instance: Instance, robot: str | None, out: Path, progress: Progress, interruption: Interruption) -> None:
     """Run the demonstration, and tell where bag, measurements and pictures are. Nothing goes on running behind it.
 
     Args:
         instance: of the demonstration's own.
+        robot: a name of ``robots/``, or a folder; None: the profile's.
         out: the folder for what it leaves.
         progress: told how it goes on.
         interruption: ends it early.
@@ -40,7 +41,8 @@ def run(instance: Instance, out: Path, progress: Progress, interruption: Interru
     program = example_file(PROGRAM)
     bag, measurements = prepare(out, "demo.mcap", "demo.json")
     failure: ValorError | None = None
-    with running(instance, instance_setup.Request(actuators="hardware", bag=bag), progress, interruption) as settings:
+    request = instance_setup.Request(robot=robot, actuators="hardware", bag=bag)
+    with running(instance, request, progress, interruption) as settings:
         try:
             _run_client(instance, program, measurements, interruption)
         except InterruptedBySignalError:

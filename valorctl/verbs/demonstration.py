@@ -23,6 +23,7 @@ def register(app: typer.Typer) -> None:
 def reach(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="The folder for the bag and the pictures.")] = Path("output/demo"),
+    robot: Annotated[str | None, typer.Option(help="A name of robots/, or a folder.")] = None,
 ) -> None:
     """Let the robot stand up and reach out in a system of its own; leaves a bag and pictures."""
     if context.invoked_subcommand is not None:
@@ -31,7 +32,7 @@ def reach(
     from valorctl.interruption import Interruption
 
     with progress() as shown, Interruption() as interruption:
-        demonstration.run(_instance(demonstration.NAME), out.expanduser().absolute(), shown, interruption)
+        demonstration.run(_instance(demonstration.NAME), robot, out.expanduser().absolute(), shown, interruption)
 
 
 @demo.command()
