@@ -7,14 +7,10 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
-from valor_analysis.errors import ResultError
+from valor_analysis.chapters import INTRODUCTION, SHORT, TITLE, Chapter, command_for_all
 from valor_analysis.results import Measure, Picture, Result, Table
 
-TITLE = "Chapter 5, measured again"
-INTRODUCTION = (
-    "The numerical results of the thesis from which this system was built, repeated on it: each number beside the one "
-    "printed there, and why they differ."
-)
+MEASURES = ("", "here", "unit", "thesis", "what differs, and why")  # columns of an experiment's numbers
 _STYLE = """
 :root { color-scheme: light; --ink: #22272e; --grey: #6b7480; --line: #dde1e6; --soft: #f5f7f9; --accent: #0072b2; }
 * { box-sizing: border-box; }
@@ -39,6 +35,7 @@ figure { margin: 1.4rem 0; }
 figure img { width: 100%; height: auto; border: 1px solid var(--line); border-radius: .3rem; }
 figcaption { color: var(--grey); font-size: .87rem; margin-top: .3rem; }
 code { background: var(--soft); padding: .1rem .35rem; border-radius: .25rem; font-size: .88em; }
+.failed { background: #fbe9e7; border-left: 4px solid #b55a52; padding: .5rem .9rem; margin: .8rem 0; }
 .warning { background: #fdf3df; border-left: 4px solid #e69f00; padding: .5rem .9rem; margin: .8rem 0; }
 @media print { body { max-width: none; padding: 0; } h2 { break-before: page; border: 0; }
                figure, table { break-inside: avoid; } }
@@ -46,61 +43,48 @@ code { background: var(--soft); padding: .1rem .35rem; border-radius: .25rem; fo
 """
 
 
-def collect(folder: Path, order: Sequence[str]) -> list[tuple[Result, Path]]:
-    """The results in the folders of a folder, in the order of their experiments' names.
-
-    Raises:
-        ResultError: there is none; or one of them is broken.
-    """
-    found = [(Result.load(folder / name), folder / name) for name in order if (folder / name).is_dir()]
-    if not found:
-        raise ResultError(f"{folder}: no results of experiments ({', '.join(order)})")
-    return found
-
-
-def write(results: Sequence[tuple[Result, Path]], file: Path) -> Path:
-    """Write the page; returns its path.
-
-    Args:
-        results: with the folders in which their pictures are.
-        file: of the page.
-
-    Raises:
-        ResultError: a picture is missing.
-    """
-    parts = "".join(_section(result, folder) for result, folder in results)
+def write(chapters: Sequence[Chapter], file: Path) -> Path:
+    """Write the page; returns its path."""
     links = "".join(
-        f'<a href="#{_text(result.experiment)}">{_text(result.title)} '
-        f'<span class="quiet">{_text(result.reproduces)}</span></a>'
-        for result, _ in results
+        f'<a href="#{_text(chapter.name)}">{_text(chapter.title)} '
+        f'<span class="quiet">{_text(chapter.reproduces)}{"" if chapter.result else " · no result"}</span></a>'
+        for chapter in chapters
     )
+    command = command_for_all(chapters)
+    again = f'<p class="quiet">All of it again: <code>{_text(command)}</code>.</p>' if command else ""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(
         "<!doctype html>\n"
         f'<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{TITLE}</title><style>{_STYLE}</style></head><body>"
         f"<h1>{TITLE}</h1><p>{INTRODUCTION}</p>"
-        f"<nav>{links}</nav>{_host(results[0][0])}{parts}</body></html>\n"
+        f"<nav>{links}</nav>{again}{''.join(_section(chapter) for chapter in chapters)}</body></html>\n"
     )
     return file
 
 
-def _section(result: Result, folder: Path) -> str:
-    quick = (
-        '<p class="warning">A short run: it shows that everything works; its numbers say little.</p>'
-        if result.quick
-        else ""
-    )
-    settings = ", ".join(f"{key} {value}" for key, value in result.settings.items())
+def _section(chapter: Chapter) -> str:
+    head = f'<h2 id="{_text(chapter.name)}">{_text(chapter.title)}</h2>'
+    result = chapter.result
+    if result is None:
+        return f'{head}<p class="quiet">{_text(chapter.reproduces)}</p><p class="failed">{_text(chapter.absence)}</p>'
+    quick = f'<p class="warning">{SHORT}</p>' if result.quick else ""
     files = f" Data beside it: {', '.join(_text(file) for file in result.files)}." if result.files else ""
     return (
-        f'<h2 id="{_text(result.experiment)}">{_text(result.title)}</h2>'
-        f'<p class="quiet">{_text(result.reproduces)} · {_text(result.started)} · {_text(settings)}</p>'
+        f'{head}<p class="quiet">{_text(about(result))}</p>'
         f"{quick}<p>{_text(result.text)}</p>{_measures(result.measures)}"
         f"{''.join(_table(table) for table in result.tables)}"
-        f"{''.join(_picture(picture, folder) for picture in result.pictures)}"
+        f"{''.join(_picture(picture, chapter) for picture in result.pictures)}"
         f'<p class="quiet">Made again by <code>{_text(result.command)}</code>.{files}</p>'
     )
+
+
+def about(result: Result) -> str:
+    """What a result is of, when and where it was measured, in a line."""
+    settings = ", ".join(f"{key} {value}" for key, value in result.settings.items())
+    host = ", ".join(f"{key} {value}" for key, value in result.host.items())
+    took = f"{result.seconds / 60.0:.1f} min" if result.seconds else ""
+    return " · ".join(part for part in (result.reproduces, result.started, took, settings, host) if part)
 
 
 def _measures(measures: Sequence[Measure]) -> str:
@@ -109,8 +93,9 @@ def _measures(measures: Sequence[Measure]) -> str:
         f'<td>{_text(one.thesis) or "–"}</td><td class="note">{_text(one.note)}</td></tr>'
         for one in measures
     )
-    head = '<tr><th></th><th class="number">here</th><th></th><th>thesis</th><th></th></tr>'
-    return f"<table>{head}{rows}</table>" if rows else ""
+    kinds = ["", ' class="number"', "", "", ""]
+    head = "".join(f"<th{kind}>{name}</th>" for kind, name in zip(kinds, MEASURES, strict=True))
+    return f'<table class="measures"><tr>{head}</tr>{rows}</table>' if rows else ""
 
 
 def _table(table: Table) -> str:
@@ -123,22 +108,15 @@ def _table(table: Table) -> str:
     return f"<h3>{_text(table.title)}</h3><table><tr>{head}</tr>{rows}</table>"
 
 
-def _picture(picture: Picture, folder: Path) -> str:
-    file = folder / picture.file
-    try:
-        data = base64.b64encode(file.read_bytes()).decode()
-    except OSError as error:
-        raise ResultError(f"{file}: {error.strerror}; the result names it as a picture") from None
+def _picture(picture: Picture, chapter: Chapter) -> str:
+    if fault := chapter.fault(picture):
+        return f'<p class="failed">{_text(picture.caption)} Not shown: {_text(fault)}.</p>'
+    data = base64.b64encode((chapter.folder / picture.file).read_bytes()).decode()
     where = f" Reproduces {_text(picture.reproduces)}." if picture.reproduces else ""
     return (
         f'<figure><img alt="{_text(picture.caption)}" src="data:image/png;base64,{data}">'
         f"<figcaption>{_text(picture.caption)}{where}</figcaption></figure>"
     )
-
-
-def _host(result: Result) -> str:
-    facts = ", ".join(f"{key}: {value}" for key, value in result.host.items())
-    return f'<p class="quiet">Measured on {_text(facts)}.</p>'
 
 
 def number(value: float | None) -> str:

@@ -10,13 +10,15 @@ from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 
+from valor_analysis.chapters import INTRODUCTION, SHORT, TITLE, Chapter, command_for_all
 from valor_analysis.errors import ResultError
-from valor_analysis.report import INTRODUCTION, TITLE, number
-from valor_analysis.results import Measure, Picture, Result, Table
+from valor_analysis.report import MEASURES, about, number
+from valor_analysis.results import Measure, Picture, Table
 from valor_analysis.style import GREY, INK, LIGHT
 
 MARGIN = 18.0  # [mm]
 BODY, SMALL = 9.5, 7.5  # type sizes [pt]
+FAILED = "#b55a52"  # what is not there
 _FONT = "DejaVu"
 _FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
 _HEAD = FontFace(emphasis="", color=GREY)
@@ -60,15 +62,11 @@ class _Pages(FPDF):  # type: ignore[misc]  # untyped
         self.ln(3.0)
 
 
-def write(results: Sequence[tuple[Result, Path]], file: Path) -> Path:
+def write(chapters: Sequence[Chapter], file: Path) -> Path:
     """Write the PDF; returns its path.
 
-    Args:
-        results: with the folders in which their pictures are.
-        file: of the PDF.
-
     Raises:
-        ResultError: a picture is missing.
+        ResultError: a picture is broken inside.
     """
     pages = _Pages()
     pages.add_page()
@@ -76,26 +74,31 @@ def write(results: Sequence[tuple[Result, Path]], file: Path) -> Path:
     pages.ln(2.0)
     pages.word(INTRODUCTION, BODY)
     pages.ln(2.0)
-    facts = ", ".join(f"{key}: {value}" for key, value in results[0][0].host.items())
-    pages.word(f"Measured on {facts}.", SMALL, GREY)
-    for i, (result, folder) in enumerate(results):
+    if command := command_for_all(chapters):
+        pages.word(f"All of it again: {command}", SMALL, GREY)
+    for i, chapter in enumerate(chapters):
         if i:
             pages.add_page()
-        _section(pages, result, folder)
+        _section(pages, chapter)
     file.parent.mkdir(parents=True, exist_ok=True)
     pages.output(str(file))
     return file
 
 
-def _section(pages: _Pages, result: Result, folder: Path) -> None:
+def _section(pages: _Pages, chapter: Chapter) -> None:
     pages.ln(5.0)
-    pages.start_section(result.title)
-    pages.word(result.title, 14.0, style="B")
-    settings = ", ".join(f"{key} {value}" for key, value in result.settings.items())
-    pages.word(" · ".join(part for part in (result.reproduces, result.started, settings) if part), SMALL, GREY)
+    pages.start_section(chapter.title)
+    pages.word(chapter.title, 14.0, style="B")
+    result = chapter.result
+    if result is None:
+        pages.word(chapter.reproduces, SMALL, GREY)
+        pages.ln(1.5)
+        pages.word(chapter.absence, BODY, FAILED)
+        return
+    pages.word(about(result), SMALL, GREY)
     pages.ln(1.5)
     if result.quick:
-        pages.word("A short run: it shows that everything works; its numbers say little.", BODY, style="B")
+        pages.word(SHORT, BODY, style="B")
         pages.ln(1.5)
     pages.word(result.text, BODY)
     pages.ln(2.0)
@@ -103,14 +106,14 @@ def _section(pages: _Pages, result: Result, folder: Path) -> None:
     for table in result.tables:
         _table(pages, table)
     for picture in result.pictures:
-        _picture(pages, picture, folder)
+        _picture(pages, picture, chapter)
     pages.word(f"Made again by: {result.command}", SMALL, GREY)
 
 
 def _measures(pages: _Pages, measures: Sequence[Measure]) -> None:
     if measures:
         rows = [(one.name, number(one.value), one.unit, one.thesis or "–", one.note) for one in measures]
-        pages.rows(("", "here", "", "thesis", ""), rows, (30, 9, 12, 17, 32), {1})
+        pages.rows(MEASURES, rows, (30, 9, 12, 17, 32), {1})
 
 
 def _table(pages: _Pages, table: Table) -> None:
@@ -121,13 +124,17 @@ def _table(pages: _Pages, table: Table) -> None:
     pages.rows(table.columns, table.rows, widths, {i for i in range(len(table.columns)) if not table.is_text(i)})
 
 
-def _picture(pages: _Pages, picture: Picture, folder: Path) -> None:
+def _picture(pages: _Pages, picture: Picture, chapter: Chapter) -> None:
+    if fault := chapter.fault(picture):
+        pages.word(f"{picture.caption} Not shown: {fault}.", BODY, FAILED)
+        pages.ln(3.0)
+        return
     where = f" Reproduces {picture.reproduces}." if picture.reproduces else ""
     try:
         with pages.unbreakable() as block:
-            block.image(str(folder / picture.file), w=block.epw)
+            block.image(str(chapter.folder / picture.file), w=block.epw)
             block.word(f"{picture.caption}{where}", SMALL, GREY)
             block.ln(3.0)
     except OSError as error:
         reason = error.strerror or "not a picture"
-        raise ResultError(f"{folder / picture.file}: {reason}; the result names it as a picture") from None
+        raise ResultError(f"{chapter.folder / picture.file}: {reason}; the result names it as a picture") from None

@@ -13,6 +13,7 @@ from valor_analysis import json_file
 from valor_analysis.errors import ResultError
 
 FILE = "result.json"
+FAILURE_FILE = "failure.json"
 LONGEST_NUMBER = 16  # characters of a number, its unit and sign
 
 
@@ -62,6 +63,7 @@ class Result(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     tables: list[Table] = []
     pictures: list[Picture] = []
     files: list[str] = []  # CSV, bag
+    seconds: float = 0.0  # that it took
 
     @classmethod
     def load(cls, folder: Path) -> Result:
@@ -75,6 +77,29 @@ class Result(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def save(self, folder: Path) -> Path:
         """Write it into a folder; returns the file."""
         return json_file.save(self, folder / FILE)
+
+
+class Failure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A run of an experiment that came to no result."""
+
+    experiment: str
+    command: str  # that makes it again
+    started: str  # ISO 8601
+    reason: str  # in one line
+    details: str = ""  # where in the program, if nobody foresaw it
+
+    @classmethod
+    def load(cls, folder: Path) -> Failure:
+        """Read the failure in a folder.
+
+        Raises:
+            ResultError: there is none, or it is not one; names the file.
+        """
+        return json_file.load(folder / FAILURE_FILE, cls, ResultError, "the failure of an experiment")
+
+    def save(self, folder: Path) -> Path:
+        """Write it into a folder; returns the file."""
+        return json_file.save(self, folder / FAILURE_FILE)
 
 
 def host_facts() -> dict[str, str]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from valor_analysis.results import Measure, Picture, Result, Table, host_facts
+from valor_analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor_common.errors import ValorError
 from valor_common.instance import Instance, Recording, Settings
 from valorctl import demonstration
@@ -115,19 +117,32 @@ class Experiment:
         """
         try:
             options.out.mkdir(parents=True, exist_ok=True)
+            # Figures and bags of an earlier run are written over from now on: its result would be of no run at all.
+            for stale in (FILE, FAILURE_FILE):
+                (options.out / stale).unlink(missing_ok=True)
         except OSError as error:
             raise ValorError(f"{error.filename}: {error.strerror}") from None
         host = host_facts()
         started = datetime.now().astimezone().isoformat(timespec="seconds")
+        began = time.monotonic()
         run = Run(instance, options, progress, interruption)
-        self.run(run)
-        words = [f"valorctl experiment {self.name}", *(["--quick"] if options.quick else [])]
-        if run.settings:
-            words += [f"--seed {options.seed}", f"--actuators {options.actuators}", f"--robot {options.robot}"]
+        words = [f"valorctl experiment {self.name}", *(["--quick"] if options.quick else []), f"--seed {options.seed}",
+                 f"--actuators {options.actuators}", f"--robot {options.robot}"]  # fmt: skip
+        command = " ".join(words)
+        try:
+            self.run(run)
+        except Exception as error:
+            known = isinstance(error, ValorError)
+            reason = str(error) if known else f"{type(error).__name__}: {error}"
+            details = "" if known else traceback.format_exc()
+            Failure(experiment=self.name, command=command, started=started, reason=reason, details=details).save(
+                options.out
+            )
+            raise
         result = Result(
-            experiment=self.name, title=self.title, reproduces=self.reproduces, command=" ".join(words),
-            started=started, quick=options.quick, settings=run.settings, host=host, text=run.text,
-            measures=run.measures, tables=run.tables, pictures=run.pictures,
-            files=[str(file.relative_to(run.out)) for file in run.files],
+            experiment=self.name, title=self.title, reproduces=self.reproduces, command=command, started=started,
+            quick=options.quick, settings=run.settings, host=host, text=run.text, measures=run.measures,
+            tables=run.tables, pictures=run.pictures, files=[str(file.relative_to(run.out)) for file in run.files],
+            seconds=round(time.monotonic() - began, 1),
         )  # fmt: skip
         return result, result.save(options.out)

@@ -10,12 +10,15 @@ import typer
 
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valorctl.console import progress, rich_console, say
+from valorctl.console import complain, progress, rich_console, say
 
 if TYPE_CHECKING:
     from valor_analysis.results import Result
 
 INSTANCE = "experiment"
+ALL = "all"
+OUT = Path("output/experiments")
+REPORT = "report"
 
 
 def register(app: typer.Typer) -> None:
@@ -25,17 +28,15 @@ def register(app: typer.Typer) -> None:
 
 
 def experiment(
-    name: Annotated[str | None, typer.Argument(help="Which; all are listed unless given.")] = None,
+    name: Annotated[str | None, typer.Argument(help="Which, or 'all'; they are listed unless given.")] = None,
     *,
-    out: Annotated[Path, typer.Option(help="Each experiment leaves a folder of its name here.")] = Path(
-        "output/experiments"
-    ),
+    out: Annotated[Path, typer.Option(help="Each experiment leaves a folder of its name here.")] = OUT,
     quick: Annotated[bool, typer.Option("--quick", help="A short form, to see that everything works.")] = False,
     seed: Annotated[int, typer.Option(help="Of all that is random in the simulation.")] = 0,
     robot: Annotated[str, typer.Option(help="A name of robots/, or a folder.")] = "escher",
     actuators: Annotated[str, typer.Option(help="The robot's profile of imperfections: ideal, hardware.")] = "hardware",
 ) -> None:
-    """Repeat an experiment of the thesis in a system of its own; leaves figures, CSV and a result."""
+    """Repeat an experiment of the thesis, or all and their report, in a system of its own."""
     from valorctl.experiments.experiment import Options
     from valorctl.experiments.table import BY_NAME, EXPERIMENTS
     from valorctl.interruption import Interruption
@@ -48,40 +49,58 @@ def experiment(
             table.add_column(column)
         for each in EXPERIMENTS:
             table.add_row(each.name, each.title, each.reproduces)
+        table.add_row(ALL, "One after the other, and their report", "")
         rich_console().print(table)
         return
-    if name not in BY_NAME:
-        raise ValorError(f"experiment {name!r}: expected one of {', '.join(BY_NAME)}")
-    options = Options(out.expanduser().absolute() / name, quick, seed, actuators, robot)
+    if name not in (*BY_NAME, ALL):
+        raise ValorError(f"experiment {name!r}: expected one of {', '.join(BY_NAME)}, {ALL}")
+    folder = out.expanduser().absolute()
     instance = Instance.from_environment(os.environ.get("VALOR_INSTANCE") or INSTANCE)
     with progress() as shown, Interruption() as interruption:
-        result, file = BY_NAME[name].perform(instance, options, shown, interruption)
-        _show(result)
-        shown.done(str(file))
+        if name != ALL:
+            options = Options(folder / name, quick, seed, actuators, robot)
+            result, file = BY_NAME[name].perform(instance, options, shown, interruption)
+            _show(result)
+            shown.done(str(file))
+            return
+        from valorctl.experiments import row
+
+        row.perform(instance, Options(folder, quick, seed, actuators, robot), shown, interruption, _show)
+        _report(folder, folder / REPORT)
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="Where the experiments left their folders.")] = Path(
-        "output/experiments"
-    ),
+    folder: Annotated[Path, typer.Argument(help="Where the experiments left their folders.")] = OUT,
     *,
-    out: Annotated[Path | None, typer.Option(help="The page; FOLDER/report.html unless given.")] = None,
-    pdf: Annotated[bool, typer.Option("--pdf", help="And the same as a PDF beside the page.")] = False,
+    out: Annotated[Path | None, typer.Option(help="The report's folder; FOLDER/report unless given.")] = None,
 ) -> None:
-    """Gather the results of experiments into one page, each number beside the thesis'."""
+    """Gather what experiments found, each number beside the thesis': a page, a PDF, and Markdown with its figures."""
+    folder = folder.expanduser().absolute()
+    _report(folder, (out or folder / REPORT).expanduser().absolute())
+
+
+def _report(folder: Path, out: Path) -> None:
+    """Write the report of what is there; then complain of what should be there and is not."""
+    from valor_analysis import chapters, report_markdown, report_pdf
     from valor_analysis import report as page
-    from valorctl.experiments.table import BY_NAME
+    from valorctl.experiments.table import EXPERIMENTS
 
-    results = page.collect(folder.expanduser().absolute(), tuple(BY_NAME))
-    file = page.write(results, (out or folder / "report.html").expanduser().absolute())
-    say(f"{file}: {len(results)} experiments ({file.stat().st_size / 1e6:.1f} MB)")
-    if pdf:
-        from valor_analysis import report_pdf
-
-        paper = report_pdf.write(results, file.with_suffix(".pdf"))
-        say(f"{paper} ({paper.stat().st_size / 1e6:.1f} MB)")
-    if missing := set(BY_NAME) - {result.experiment for result, _ in results}:
-        say(f"not there: {', '.join(name for name in BY_NAME if name in missing)}")
+    found = chapters.collect(folder, EXPERIMENTS)
+    files = (
+        page.write(found, out / "report.html"),
+        report_pdf.write(found, out / "report.pdf"),
+        report_markdown.write(found, out),
+    )
+    for file in files:
+        say(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+    say(f"{sum(chapter.result is not None for chapter in found)} of {len(found)} experiments are in it")
+    if missing := [chapter.name for chapter in found if chapter.result is None and not chapter.broken]:
+        say(f"not there: {', '.join(missing)}")
+    broken = [line for chapter in found for line in chapter.broken]
+    for line in broken:
+        complain(line)
+    if broken:
+        raise ValorError("the report is written, and says in their places what failed")
 
 
 def _show(result: Result) -> None:

@@ -1,0 +1,85 @@
+"""The report as a folder for a repository: ``README.md`` with every number, and the figures beside it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from valor_analysis.chapters import INTRODUCTION, SHORT, TITLE, Chapter, command_for_all
+from valor_analysis.errors import ResultError
+from valor_analysis.report import MEASURES, about, number
+from valor_analysis.results import Measure, Picture, Table
+
+FILE = "README.md"
+
+
+def write(chapters: Sequence[Chapter], folder: Path) -> Path:
+    """Write the page and copy the figures; returns the page's path.
+
+    Raises:
+        ResultError: a file cannot be written.
+    """
+    command = command_for_all(chapters)
+    parts = [f"# {TITLE}", INTRODUCTION, *([f"All of it again:\n\n    {command}"] if command else [])]
+    for chapter in chapters:
+        parts += _section(chapter)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for chapter in chapters:
+            for picture in chapter.result.pictures if chapter.result else ():
+                if not chapter.fault(picture):
+                    shutil.copyfile(chapter.folder / picture.file, folder / Path(picture.file).name)
+        beside = folder / f".{FILE}"
+        beside.write_text("\n\n".join(parts) + "\n")
+        os.replace(beside, folder / FILE)
+    except OSError as error:
+        raise ResultError(f"{error.filename}: {error.strerror}") from None
+    return folder / FILE
+
+
+def _section(chapter: Chapter) -> list[str]:
+    result = chapter.result
+    head = f"## {chapter.title} ({chapter.reproduces})"
+    if result is None:
+        return [head, f"**{_text(chapter.absence)}**"]
+    return [
+        head,
+        f"    {result.command}",
+        _text(about(result)),
+        *([f"**{SHORT}**"] if result.quick else []),
+        _text(result.text),
+        *([_measures(result.measures)] if result.measures else []),
+        *(part for table in result.tables for part in _table(table)),
+        *(part for picture in result.pictures for part in _picture(picture, chapter)),
+    ]
+
+
+def _measures(measures: Sequence[Measure]) -> str:
+    rows = ((one.name, number(one.value), one.unit, one.thesis or "–", one.note) for one in measures)
+    return _rows(MEASURES, rows, right={1})
+
+
+def _table(table: Table) -> tuple[str, str]:
+    right = {i for i in range(len(table.columns)) if not table.is_text(i)}
+    return f"**{_text(table.title)}**", _rows(table.columns, table.rows, right)
+
+
+def _rows(head: Sequence[str], rows: Iterable[Sequence[str]], right: set[int]) -> str:
+    marks = ["--:" if i in right else "---" for i in range(len(head))]
+    return "\n".join(f"| {' | '.join(_text(cell) for cell in row)} |" for row in (head, marks, *rows))
+
+
+def _picture(picture: Picture, chapter: Chapter) -> tuple[str, ...]:
+    if fault := chapter.fault(picture):
+        return (f"**{_text(picture.caption)} Not shown: {_text(fault)}.**",)
+    where = f" Reproduces {picture.reproduces}." if picture.reproduces else ""
+    return f"![{_text(picture.caption)}]({Path(picture.file).name})", f"*{_text(picture.caption)}{where}*"
+
+
+def _text(text: str) -> str:
+    """What Markdown would take for its own is told as it is."""
+    for mark in ("|", "*", "<"):
+        text = text.replace(mark, f"\\{mark}")
+    return text
