@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 
 from valor_analysis.bag import Array
+from valor_analysis.recording import Recording
+from valor_common.topics import MOTION_STATE
 
 HEIGHT = 0.05  # of the axes
 _COLORS = {
@@ -15,6 +20,31 @@ _COLORS = {
     "soft_stop": "#e6a5a0", "freeze": "#d98c86", "fall": "#b55a52",
 }  # fmt: skip
 _OTHER = "#dde1e6"
+
+
+def color(behavior: str) -> str:
+    """Of a behavior's band."""
+    return _COLORS.get(behavior, _OTHER)
+
+
+def keys(behaviors: Iterable[str]) -> list[Patch]:
+    """For a legend of bands that do not name themselves: a patch a behavior, in the order of their first sight."""
+    return [Patch(color=color(name), label=name.replace("_", " ")) for name in dict.fromkeys(map(str, behaviors))]
+
+
+def make_room(axes: Axes) -> None:
+    """Lower the foot of a plot, so that bands stand below its values rather than over them."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 1.4 * HEIGHT * (high - low), high)
+    axes.set_yticks([tick for tick in axes.get_yticks() if low <= tick <= high])
+
+
+def bands_of(axes: Axes, recording: Recording, start: float, end: float, label: bool = True) -> None:
+    """Draw a recording's bands under a plot whose zero is ``start`` and that ends at ``end``, both robot time [s]."""
+    states = recording.series(MOTION_STATE)
+    shown = np.flatnonzero((states.time >= start) & (states.time <= end))
+    if shown.size:
+        bands(axes, states.time[shown] - start, states.strings("behavior")[shown], label)
 
 
 def bands(axes: Axes, time: Array, behavior: npt.NDArray[np.str_], label: bool = True) -> None:
@@ -35,7 +65,7 @@ def bands(axes: Axes, time: Array, behavior: npt.NDArray[np.str_], label: bool =
     for start, end in zip(starts, ends, strict=True):
         name = str(behavior[start])
         begin, stop = float(time[start]), float(time[end])
-        axes.axvspan(begin, stop, ymin=0.0, ymax=HEIGHT, color=_COLORS.get(name, _OTHER), linewidth=0.0, zorder=0.5)
+        axes.axvspan(begin, stop, ymin=0.0, ymax=HEIGHT, color=color(name), linewidth=0.0, zorder=0.5)
         if label and (stop - begin) / whole > 0.012 * len(name):
             axes.text(
                 0.5 * (begin + stop), 0.5 * HEIGHT, name.replace("_", " "), fontsize=7, color="#4a525c",

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from valor_analysis import style
 from valor_analysis.bag import Array
-from valor_analysis.bands import bands
+from valor_analysis.bands import bands_of
 from valor_analysis.errors import BagError, SignalError
 from valor_analysis.lag import Lag, lag
 from valor_analysis.recording import Recording
@@ -155,7 +155,4 @@ def _panel(axes: Axes, recording: Recording, one: JointSignals, quantity: Quanti
     middle = 0.5 * (low + high)
     axes.set_ylim(middle - 0.62 * room, middle + 0.52 * room)  # below: the bands
     axes.set_xlim(0.0, end - start)
-    states = recording.series(MOTION_STATE)
-    shown = np.flatnonzero((states.time >= start) & (states.time <= end))
-    if shown.size:
-        bands(axes, states.time[shown] - start, states.strings("behavior")[shown], label=False)
+    bands_of(axes, recording, start, end, label=False)

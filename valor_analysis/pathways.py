@@ -26,7 +26,7 @@ import numpy.typing as npt
 from valor_analysis.bag import Array, Bag, Series
 from valor_analysis.errors import BagError, SignalError
 from valor_analysis.lag import lag
-from valor_analysis.recording import Recording, recorded
+from valor_analysis.recording import Recording, nearest, recorded
 from valor_analysis.signals import Signal
 from valor_common.robot import RobotDescription
 from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
@@ -54,12 +54,14 @@ class Segment:
         where: the system that takes the time.
         by_stamps: latencies [s] as differences of stamps; empty where none belong together.
         by_correlation: latencies [s] as lags, one a motion and joint; empty where no signal goes through.
+        at: when each of ``samples`` began, on the wall clock [s].
     """
 
     name: str
     where: str
     by_stamps: Array = field(default_factory=lambda: np.empty(0))
     by_correlation: Array = field(default_factory=lambda: np.empty(0))
+    at: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def samples(self) -> Array:
@@ -107,12 +109,24 @@ class Pathway:
 
 @dataclass(frozen=True)
 class Latencies:
-    """All eight segments, in the order of figure 5.2."""
+    """All eight segments, in the order of figure 5.2, and what the Motion System did meanwhile.
+
+    Attributes:
+        segments: as in the figure.
+        time: (m,) on the wall clock [s].
+        behavior: (m,) of the Motion System at these times.
+    """
 
     segments: tuple[Segment, ...]
+    time: Array
+    behavior: npt.NDArray[np.str_]
 
     def __getitem__(self, name: str) -> Segment:
         return next(segment for segment in self.segments if segment.name == name)
+
+    def behaviors(self, segment: Segment) -> npt.NDArray[np.str_]:
+        """The behavior in which each sample of a segment began."""
+        return self.behavior[nearest(self.time, segment.at)]
 
     @property
     def pathways(self) -> tuple[Pathway, ...]:
@@ -153,21 +167,25 @@ class _Signals:
 
     def latencies(self) -> Latencies:
         """All of them."""
-        setpoint, motor, plant, state = self._by_correlation()
-        changed, reported = self._mode_changes()
-        setpoint_stamps = self._since_sensed(self._setpoints, self._setpoints["time"])
-        state_stamps = self._since_sensed(self._joint_states, _header(self._joint_states))
+        (setpoint, motor, plant, state), motions = self._by_correlation()
+        changed, reported, asked, seen = self._mode_changes()
+        setpoint_stamps, setpoint_at = self._since_sensed(self._setpoints, self._setpoints["time"])
+        state_stamps, state_at = self._since_sensed(self._joint_states, _header(self._joint_states))
+        response, referred = self._response()
+        obeyed, told = self._obeyed()
         return Latencies(
             (
-                Segment("Reference → VEC", "VRC", by_stamps=self._response()),
-                Segment("VEC → MSetpoint", "VRC", setpoint_stamps, setpoint),
-                Segment("VEC → Motor", "Motion System", by_correlation=motor),
-                Segment("Motor → HDT Cmd.", "Motion System", by_stamps=self._obeyed()),
-                Segment("HDT Cmd. → Prop.", "robot", by_correlation=plant),
-                Segment("Prop. → JS", "VRC", state_stamps, state),
-                Segment("Mode change cmd.", "Motion System", by_stamps=changed),
-                Segment("Mode change reported", "VRC", by_stamps=reported),
-            )
+                Segment("Reference → VEC", "VRC", by_stamps=response, at=referred),
+                Segment("VEC → MSetpoint", "VRC", setpoint_stamps, setpoint, setpoint_at),
+                Segment("VEC → Motor", "Motion System", by_correlation=motor, at=motions[1]),
+                Segment("Motor → HDT Cmd.", "Motion System", by_stamps=obeyed, at=told),
+                Segment("HDT Cmd. → Prop.", "robot", by_correlation=plant, at=motions[2]),
+                Segment("Prop. → JS", "VRC", state_stamps, state, state_at),
+                Segment("Mode change cmd.", "Motion System", by_stamps=changed, at=asked),
+                Segment("Mode change reported", "VRC", by_stamps=reported, at=seen),
+            ),
+            self._states.sent,
+            self._states.strings("behavior"),
         )
 
     def _when_sensed(self, robot_time: Array) -> tuple[Indices, Array]:
@@ -177,10 +195,10 @@ class _Signals:
         rows = np.flatnonzero(known[place] == robot_time)
         return rows, self._senses.sent[place[rows]]
 
-    def _since_sensed(self, series: Series, robot_time: Array) -> Array:
-        """From a Proprioceptor sent to the message that was made of it sent [s]."""
+    def _since_sensed(self, series: Series, robot_time: Array) -> tuple[Array, Array]:
+        """From a Proprioceptor sent to the message that was made of it sent, and when the first was [s]."""
         rows, sensed = self._when_sensed(robot_time)
-        return series.sent[rows] - sensed
+        return series.sent[rows] - sensed, sensed
 
     def _motions(self) -> Iterator[tuple[float, float, Sequence[str]]]:
         """When a motion was asked for, when it ended, as robot time goes [s], and its joints."""
@@ -190,35 +208,37 @@ class _Signals:
             end = np.interp(asked, sent, robot_time) + last.sec + 1e-9 * last.nanosec
             yield asked, float(np.interp(end, robot_time, sent)), message.joint_names
 
-    def _response(self) -> Array:
-        """From a reference sent to control values that move [s]."""
+    def _response(self) -> tuple[Array, Array]:
+        """From a reference sent to control values that move, and when the reference was sent [s]."""
         speed = np.abs(self._vec["reference.velocities"][self._vec_rows]).max(axis=1)
-        found = []
+        found, asked = [], []
         for sent, end, _ in self._motions():
             during = (self._vec_time > sent) & (self._vec_time < end)
             moving = np.flatnonzero(during & (speed > RESPONDS))
             before = np.flatnonzero(self._vec_time <= sent)
             if moving.size and before.size and speed[before[-1]] <= RESPONDS:
                 found.append(self._vec_time[moving[0]] - sent)
-        return np.array(found)
+                asked.append(sent)
+        return np.array(found), np.array(asked)
 
-    def _obeyed(self) -> Array:
-        """From a Motor sent to the first Proprioceptor that says that it is obeyed [s]."""
+    def _obeyed(self) -> tuple[Array, Array]:
+        """From a Motor sent to the first Proprioceptor that says that it is obeyed, and when the first was [s]."""
         obeyed = self._senses["motor_sequence"]
         place = np.searchsorted(obeyed, self._motor["sequence"])
         known = place < len(obeyed)
         known[known] &= obeyed[place[known]] == self._motor["sequence"][known]
-        return self._senses.sent[place[known]] - self._motor.sent[known]
+        told = self._motor.sent[known]
+        return self._senses.sent[place[known]] - told, told
 
-    def _by_correlation(self) -> tuple[Array, Array, Array, Array]:
-        """Lags [s]: VEC to set-points, VEC to Motor, Motor in force to measured, measured to joint states."""
+    def _by_correlation(self) -> tuple[list[Array], list[Array]]:
+        """Lags: VEC to set-points, VEC to Motor, Motor in force to measured, measured to joint states; and when [s]."""
         positions = self._vec["reference.positions"][self._vec_rows]
         names = list(self._vec.messages[0].joint_names)
         setpoints = self._setpoints.by_joint("position", self._setpoints.sent)
         told = self._joint_states.by_joint("position", self._joint_states.sent)
         obeyed = np.searchsorted(self._motor["sequence"], self._senses["motor_sequence"])
         in_force = self._commanded[obeyed.clip(max=len(self._motor) - 1)]
-        found: tuple[list[float], ...] = ([], [], [], [])
+        found: tuple[list[tuple[float, float]], ...] = ([], [], [], [])
         for sent, end, joints in self._motions():
             for joint in set(joints) & set(names) & setpoints.keys():
                 column = self._robot.index[joint]
@@ -237,17 +257,17 @@ class _Signals:
                     continue
                 pairs = ((vec, setpoint), (vec, motor), (command, measured), (measured, state))
                 for each, (earlier, later) in zip(found, pairs, strict=True):
-                    each.extend(_lag(earlier, later))
-        setpoint_lags, motor_lags, plant_lags, state_lags = (np.array(lags) for lags in found)
-        return setpoint_lags, motor_lags, plant_lags, state_lags
+                    each.extend((delay, sent) for delay in _lag(earlier, later))
+        columns = [np.array(each).reshape(-1, 2).T for each in found]
+        return [lags for lags, _ in columns], [at for _, at in columns]
 
-    def _mode_changes(self) -> tuple[Array, Array]:
-        """From a command sent to the behavior changed, and from that to the report sent [s]."""
+    def _mode_changes(self) -> tuple[Array, Array, Array, Array]:
+        """From a command sent to the behavior changed, from that to the report sent; when each began [s]."""
         commands, reports = self._bag[MODE_COMMAND], self._bag[MODE_REPORT]
         behavior, at = self._states.strings("behavior"), self._states.sent
         changed_at = at[1:][behavior[1:] != behavior[:-1]]
         told_mode = reports.strings("current_control_mode")
-        to_change, to_report = [], []
+        to_change, to_report, asked, seen = [], [], [], []
         for sent, message in zip(commands.sent, commands.messages, strict=True):
             changes = changed_at[(changed_at > sent) & (changed_at < sent + ANSWER)]
             if not changes.size:
@@ -256,7 +276,9 @@ class _Signals:
             if told.any():
                 to_change.append(changes[0] - sent)
                 to_report.append(reports.sent[told][0] - changes[0])
-        return np.array(to_change), np.array(to_report)
+                asked.append(sent)
+                seen.append(changes[0])
+        return np.array(to_change), np.array(to_report), np.array(asked), np.array(seen)
 
 
 def _header(series: Series) -> Array:

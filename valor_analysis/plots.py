@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 
 from valor_analysis import style
 from valor_analysis.bag import Array, Bag
+from valor_analysis.bands import bands_of
 from valor_analysis.errors import BagError
 from valor_analysis.recording import Recording, nearest, recorded
 from valor_common.robot import RobotDescription
@@ -98,7 +99,10 @@ def _track_group(recording: Recording, group: str, out: Path) -> Path:
             desired = np.interp(times[covered], at, reference)
             errors.append(_Error(joint, times[covered] - first, measured[covered, column] - desired, desired))
         _widen(axes)
-    _plot_errors(figure.add_subplot(grid[rows, :]), errors, last - first)
+        bands_of(axes, recording, first, last, label=False)
+    errors_axes = figure.add_subplot(grid[rows, :])
+    _plot_errors(errors_axes, errors, last - first)
+    bands_of(errors_axes, recording, first, last)
     largest = max((float(np.abs(error.value).max()) for error in errors if error.value.size), default=math.nan)
     at_rest = max((error.rms_at_rest for error in errors if error.value.size), default=math.nan)
     style.heading(
@@ -176,6 +180,7 @@ def balance(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     style.legend(below, below.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=4)
     for axes in (above, below):
         axes.set_xlim(0.0, last - first)
+        bands_of(axes, recording, first, last)
     style.heading(
         figure, f"{robot.name.upper()}: balance", f"pelvis moved at most {_from_start(pelvis).max():.2f} cm (estimated)"
     )

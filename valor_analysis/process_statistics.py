@@ -12,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import psutil
 
 from valor_analysis import style
 from valor_analysis.bag import Array
+from valor_analysis.bands import bands, make_room
 from valor_analysis.errors import SignalError
 
 _MIB = 2.0**20
@@ -37,7 +39,11 @@ class Usage:
 
 
 class Sampler:
-    """Looks at processes again and again."""
+    """Looks at processes again and again.
+
+    Attributes:
+        began: the zero of its looks' time, by the monotonic clock [s].
+    """
 
     def __init__(self, pids: Mapping[str, int]) -> None:
         """Begin.
@@ -49,7 +55,7 @@ class Sampler:
             SignalError: one of them does not run; names it.
         """
         self._processes: dict[str, psutil.Process] = {}
-        self._began = time.monotonic()
+        self.began = time.monotonic()
         self._rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in pids}
         self._before: dict[str, tuple[float, float]] = {}
         for name, pid in pids.items():
@@ -73,7 +79,7 @@ class Sampler:
                 raise SignalError(f"{name}: ended while it was measured") from None
             before, used_before = self._before[name]
             self._before[name] = now, used
-            self._rows[name].append((now - self._began, 100.0 * (used - used_before) / (now - before), memory))
+            self._rows[name].append((now - self.began, 100.0 * (used - used_before) / (now - before), memory))
 
     def usage(self) -> dict[str, Usage]:
         """What was seen, by process."""
@@ -95,8 +101,14 @@ def write_csv(usage: Mapping[str, Usage], file: Path) -> Path:
     return file
 
 
-def plot(usage: Mapping[str, Usage], file: Path) -> Path:
-    """CPU and memory of every process over time."""
+def plot(usage: Mapping[str, Usage], behavior: tuple[Array, npt.NDArray[np.str_]], file: Path) -> Path:
+    """CPU and memory of every process over time, and what the robot did meanwhile.
+
+    Args:
+        usage: by process.
+        behavior: moments on the axis of the looks [s], and the Motion System's behavior at each.
+        file: of the picture.
+    """
     figure = style.figure(11.0, 6.2)
     grid = figure.add_gridspec(2, 1, left=0.075, right=0.985, bottom=0.17, top=0.86, hspace=0.38)
     above, below = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
@@ -105,10 +117,12 @@ def plot(usage: Mapping[str, Usage], file: Path) -> Path:
     for (name, one), color in zip(usage.items(), style.SERIES, strict=False):
         above.plot(one.time, one.cpu, color=color, linewidth=1.0, label=name)
         below.plot(one.time, one.memory, color=color, linewidth=1.4, label=name)
-    for axes in (above, below):
-        axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.0)
-    style.legend(figure, above.get_legend_handles_labels()[0], loc="lower center", ncols=3)
     seconds = max((float(one.time[-1]) for one in usage.values() if one.time.size), default=0.0)
+    for axes in (above, below):
+        axes.set_xlim(0.0, max(seconds, 1e-3))
+        axes.set_ylim(bottom=0.0)
+        make_room(axes)
+        bands(axes, *behavior)
+    style.legend(figure, above.get_legend_handles_labels()[0], loc="lower center", ncols=3)
     style.heading(figure, "Processes while the robot stands", f"{seconds:.0f} s, every process of the system")
     return style.save(figure, file)

@@ -43,6 +43,15 @@ def test_every_segment_is_found(found: Latencies, name: str, expected: float, co
     assert segment.mean == pytest.approx(expected, abs=0.0045 if count == 2 and len(segment.by_stamps) else 0.0006)
 
 
+def test_every_latency_knows_when_and_in_which_behavior_it_was_met(found: Latencies) -> None:
+    for segment in found.segments:
+        assert len(segment.at) == len(segment.samples)
+        assert found.time[0] - known.PERIOD <= segment.at.min() <= segment.at.max() <= found.time[-1]
+    before = found.behaviors(found["Mode change cmd."])
+    after = found.behaviors(found["Mode change reported"])
+    assert all(before != after)
+
+
 def test_both_methods_agree_where_both_can_be_had(found: Latencies) -> None:
     segment = found["VEC → MSetpoint"]
     assert len(segment.by_correlation) == 2
@@ -63,6 +72,7 @@ def test_the_sums_go_from_end_to_end_and_count_nothing_twice(found: Latencies, t
     )
     for file in (
         pathway_plots.bars({"ideal": found, "hardware": found}, tmp_path / "bars.png"),
+        pathway_plots.over_time({"ideal": found, "hardware": found}, tmp_path / "over_time.png"),
         pathway_plots.sums({"ideal": found}, dict.fromkeys(sums, "1"), tmp_path / "sums.png"),
     ):
         assert file.stat().st_size > 5_000

@@ -9,6 +9,7 @@ import sys
 import time
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -16,13 +17,13 @@ import psutil
 import pytest
 
 from tests import analysis_bag
-from valor_analysis import report, report_pdf
+from valor_analysis import chapters, report, report_markdown, report_pdf
 from valor_analysis.bag import Bag
 from valor_analysis.errors import BagError, ResultError, SignalError
 from valor_analysis.joint_signals import JointSignals, draw, neck
 from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor_analysis.recording import Recording
-from valor_analysis.results import FILE, Measure, Picture, Result, Table, host_facts
+from valor_analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor_analysis.style import figure, save
 from valor_analysis.timeline import Motion, Timeline
 from valor_common.robot import RobotDescription
@@ -37,6 +38,18 @@ def result(name: str = "one", pictures: list[Picture] | None = None) -> Result:
         measures=[Measure("a", 12.345, "ms", "40", "slower"), Measure("b", None, "ms")],
         tables=[Table("Rows", ["name", "value"], [["x", "1"], ["y", "2"]])], pictures=pictures or [],
     )  # fmt: skip
+
+
+class Listed(NamedTuple):
+    """An experiment as the table names it."""
+
+    name: str
+    title: str = "Something"
+    reproduces: str = "Figure 9.9"
+
+
+def collect(folder: Path, *names: str) -> list[chapters.Chapter]:
+    return chapters.collect(folder, [Listed(name) for name in names])
 
 
 class Page(HTMLParser):
@@ -76,14 +89,15 @@ def test_a_page_holds_all_and_needs_no_other_file(tmp_path: Path) -> None:
         save(figure(2.0, 1.0), folder / "a.png")
         made = result(name, [Picture("a.png", "A <picture>.", "Figure 5.1")])
         assert Result.load(made.save(folder).parent) == made
-    found = report.collect(tmp_path, ("two", "absent", "one"))
-    assert [each.experiment for each, _ in found] == ["two", "one"]
+    found = collect(tmp_path, "two", "absent", "one")
+    assert [each.result is not None for each in found] == [True, False, True]
     page = Page(report.write(found, tmp_path / "out" / "report.html"))
     assert page.open == []
     assert page.outside == []
-    assert page.links == ["#two", "#one"]
+    assert page.links == ["#two", "#absent", "#one"]
     assert page.images == [(tmp_path / "one" / "a.png").read_bytes()] * 2
-    for words in ("What <one> costs", "Done & said.", "12.3", "A <picture>.", "Figure 5.1", "valorctl experiment two"):
+    for words in ("What <one> costs", "Done & said.", "12.3", "A <picture>.", "Figure 5.1", "valorctl experiment two",
+                  "Not run: there is no folder", "valorctl experiment all"):  # fmt: skip
         assert words in page.text
 
 
@@ -94,14 +108,32 @@ def test_paper_holds_the_same(tmp_path: Path) -> None:
         text = Table("Words", ["", "how"], [["x", "as long as it takes, → and more"]])
         made = result(name, [Picture("a.png", "A <picture>.", "Figure 5.1")])
         msgspec.structs.replace(made, tables=[*made.tables, text]).save(tmp_path / name)
-    content = report_pdf.write(report.collect(tmp_path, ("one", "two")), tmp_path / "out" / "report.pdf").read_bytes()
+    content = report_pdf.write(collect(tmp_path, "one", "two"), tmp_path / "out" / "report.pdf").read_bytes()
     assert content.startswith(b"%PDF-")
     assert content.count(b"/Type /Page\n") >= 2
     assert content.count(b"/Subtype /Image") >= 1
     assert content.count(b"/Title") >= 3  # of the document and of both experiments
-    (tmp_path / "one" / "a.png").write_text("no picture")
+    (tmp_path / "one" / "a.png").write_bytes((tmp_path / "two" / "a.png").read_bytes()[:20])
     with pytest.raises(ResultError, match=r"one/a\.png: not a picture"):
-        report_pdf.write(report.collect(tmp_path, ("one",)), tmp_path / "report.pdf")
+        report_pdf.write(collect(tmp_path, "one"), tmp_path / "report.pdf")
+
+
+def test_a_repository_gets_a_page_with_its_figures_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    save(figure(2.0, 1.0), tmp_path / "one" / "a.png")
+    result("one", [Picture("a.png", "A *picture*.", "Figure 5.1")]).save(tmp_path / "one")
+    page = report_markdown.write(collect(tmp_path, "one", "absent"), tmp_path / "out")
+    text = page.read_text()
+    assert "![A \\*picture\\*.](a.png)" in text
+    assert (tmp_path / "out" / "a.png").read_bytes() == (tmp_path / "one" / "a.png").read_bytes()
+    assert "| a | 12.3 | ms | 40 | slower |" in text
+    assert "| name | value |\n| --- | --: |\n| x | 1 |" in text
+    assert "\n    valorctl experiment all\n" in text
+    assert "load" in text  # how busy the computer was
+    assert "**Not run: there is no folder" in text
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ResultError, match="file"):
+        report_markdown.write(collect(tmp_path, "one"), tmp_path / "file")
 
 
 def test_columns_of_words_begin_at_the_left() -> None:
@@ -109,18 +141,45 @@ def test_columns_of_words_begin_at_the_left() -> None:
     assert [table.is_text(i) for i in range(3)] == [True, False, True]
 
 
-def test_what_is_missing_or_broken_is_named(tmp_path: Path) -> None:
+def test_what_failed_or_is_broken_is_told_in_its_place_and_costs_no_other(tmp_path: Path) -> None:
+    for name in ("fine", "failed", "unfinished", "broken", "faded"):
+        (tmp_path / name).mkdir()
+    save(figure(2.0, 1.0), tmp_path / "fine" / "a.png")
+    result("fine", [Picture("a.png", "A picture.")]).save(tmp_path / "fine")
+    Failure(
+        experiment="failed", command="valorctl experiment failed", started="then", reason="the arm <fell> off"
+    ).save(tmp_path / "failed")
+    (tmp_path / "broken" / FILE).write_text('{"experiment": 1}')
+    (tmp_path / "faded" / "b.png").write_text("no picture")
+    result("faded", [Picture("gone.png", "Gone."), Picture("b.png", "Faded.")]).save(tmp_path / "faded")
+    found = collect(tmp_path, "failed", "unfinished", "fine", "broken", "faded", "absent")
+    told = {
+        "failed": "failed: the arm <fell> off",
+        "unfinished": f"Not finished: {tmp_path / 'unfinished'} has no result.json",
+        "broken": "Its result cannot be read",
+        "faded": f"Not shown: {tmp_path / 'faded' / 'gone.png'}: No such file",
+        "absent": f"there is no folder {tmp_path / 'absent'}",
+    }
+    assert [chapter.name for chapter in found if chapter.broken] == ["failed", "unfinished", "broken", "faded"]
+    page = Page(report.write(found, tmp_path / "report.html"))
+    assert page.open == []
+    assert len(page.images) == 1
+    markdown = report_markdown.write(found, tmp_path / "out").read_text().replace("\\<", "<")
+    for words in (*told.values(), "b.png: not a picture"):
+        assert words in page.text
+        assert words in markdown
+    assert report_pdf.write(found, tmp_path / "report.pdf").stat().st_size > 1000
+
+
+def test_a_result_or_failure_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(ResultError, match="no results of experiments"):
-        report.collect(tmp_path, ("one",))
-    (tmp_path / "one").mkdir()
-    with pytest.raises(ResultError, match=r"one/result\.json: No such file"):
-        report.collect(tmp_path, ("one",))
-    (tmp_path / "one" / FILE).write_text('{"experiment": 1}')
+        collect(tmp_path, "one")
+    (tmp_path / FILE).write_text('{"experiment": 1}')
     with pytest.raises(ResultError, match="Expected `str`"):
-        Result.load(tmp_path / "one")
-    result(pictures=[Picture("gone.png", "")]).save(tmp_path / "one")
-    with pytest.raises(ResultError, match=r"gone\.png: No such file"):
-        report.write(report.collect(tmp_path, ("one",)), tmp_path / "report.html")
+        Result.load(tmp_path)
+    (tmp_path / FAILURE_FILE).write_text("{")
+    with pytest.raises(ResultError, match=FAILURE_FILE):
+        Failure.load(tmp_path)
 
 
 def test_processes_are_measured_as_busy_as_they_are(tmp_path: Path) -> None:
@@ -155,7 +214,8 @@ def test_processes_are_measured_as_busy_as_they_are(tmp_path: Path) -> None:
     rows = write_csv(usage, tmp_path / "usage.csv").read_text().splitlines()
     assert rows[0] == "process,time_s,cpu_percent,memory_mib"
     assert len(rows) == 1 + 2 * looks
-    assert plot(usage, tmp_path / "usage.png").stat().st_size > 10_000
+    behavior = np.array([0.0, 0.2, 0.4]), np.array(["stand", "stand", "walk"])
+    assert plot(usage, behavior, tmp_path / "usage.png").stat().st_size > 10_000
     with pytest.raises(SignalError, match="busy: ended"):
         sampler.look()
 

@@ -46,3 +46,19 @@ def test_others_are_refused(
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, *arguments) == 1
     assert told in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_all_of_them_are_tried_and_the_report_tells_what_failed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("VALOR_HOME", str(tmp_path / "home"))
+    out = tmp_path / "out"
+    assert run(monkeypatch, "experiment", "all", "--quick", "--robot", "nowhere", "--out", str(out)) == 1
+    said = capsys.readouterr()
+    page = (out / "report" / "report.html").read_text()
+    for each in EXPERIMENTS:
+        assert f"{each.name} failed: " in said.err
+        assert f"valorctl experiment {each.name} --quick --seed 0" in page
+    assert page.count("nowhere") >= 2 * len(EXPERIMENTS)
+    assert (out / "report" / "README.md").exists()
+    assert (out / "report" / "report.pdf").exists()

@@ -14,6 +14,7 @@ import numpy as np
 
 from valor_analysis import style
 from valor_analysis.bag import Array
+from valor_analysis.bands import bands, make_room
 from valor_analysis.results import Measure, Table
 from valor_common.errors import ValorError
 from valorctl.console import bar
@@ -22,6 +23,7 @@ from valorctl.experiments.ipc_peer import DEADLINE, LINKS
 
 RATE = 10.0  # [Hz]
 SECONDS, QUICK = 120.0, 2.0
+NO_ROBOT = "no robot: the two transports alone"  # in the place of a behavior
 _NAMES = {"bifrost": "Bifrost", "ros": "ROS 2 (rclpy, Fast DDS)"}
 _THESIS = {"bifrost": ("202.3", "24.6"), "ros": ("165.5", "25.5")}
 _WAYS = {"threads": "thread to thread", "processes": "process to process"}
@@ -135,8 +137,10 @@ def _plot(latencies: Mapping[tuple[str, str], Array], file: Path) -> Path:
             at = np.arange(len(x)) / RATE
             axes.plot(at, x, ".", color=color, markersize=3.0, alpha=0.6, label=label)
             axes.plot(at, np.polyval(np.polyfit(at, x, 1), at), color=color, linewidth=1.6)
+        axes.set_xlim(0.0, max(len(x) for x in latencies.values()) / RATE)
         axes.set_ylim(0.0, top)
-        axes.margins(x=0.01)
+        make_room(axes)
+        bands(axes, np.array(axes.get_xlim()), np.array([NO_ROBOT, NO_ROBOT]))
     style.legend(figure, axes.get_legend_handles_labels()[0], loc="lower center", ncols=2)
     style.heading(figure, "One double over Bifrost and over ROS 2", f"{RATE:.0f} messages a second; a point a message")
     return style.save(figure, file)

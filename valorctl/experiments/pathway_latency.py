@@ -94,6 +94,8 @@ def run(run: Run) -> None:
                 "Mean latency of each segment; the lines are one standard deviation.", "Figure 5.2")  # fmt: skip
     run.picture([pathway_plots.sums(found, _THESIS, run.out / "pathway_latency_pathways.png")],
                 "The segments of each pathway, one behind the other.", "Figure 5.3")  # fmt: skip
+    run.picture([pathway_plots.over_time(found, run.out / "pathway_latency_over_time.png")],
+                "Every latency when it was met; below, what the Motion System did.")  # fmt: skip
 
 
 # --- the live part --------------------------------------------------------------------------------------------------

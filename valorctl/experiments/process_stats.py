@@ -11,7 +11,8 @@ import bifrost
 from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor_analysis.results import Measure, Table
 from valor_common.errors import ValorError
-from valor_common.topics import BAG_RECORDER_STATISTICS, PROPRIOCEPTOR, Topic
+from valor_common.messages import ControlModeReport
+from valor_common.topics import BAG_RECORDER_STATISTICS, CONTROL_MODE, PROPRIOCEPTOR, Topic
 from valorctl.console import bar
 from valorctl.experiments.experiment import Run
 from valorctl.supervision import Supervisor
@@ -25,13 +26,17 @@ _VRC = "valor_ros_controller"
 def run(run: Run) -> None:
     """Stand for five minutes, and look at every process twice a second."""
     seconds = QUICK if run.options.quick else SECONDS
-    with run.system():
+    bag = run.out / "process_stats.mcap"
+    behaviors: list[tuple[float, str]] = []
+    with run.system(bag=bag), bifrost.Node("experiment", network=_network(run)) as node:
+        reports = node.subscriber(CONTROL_MODE.name, ControlModeReport, queue=1000)
         sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
         began, robot_time = time.monotonic(), _robot_time(run)
         with bar("standing", seconds, "s") as shown:
             while (elapsed := time.monotonic() - began) < seconds:
                 time.sleep(max(0.0, PERIOD - elapsed % PERIOD))
                 sampler.look()
+                behaviors += [(1e-9 * each.stamp - sampler.began, each.message.behavior) for each in reports.drain()]
                 shown(elapsed)
                 run.interruption.check()
         pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
@@ -68,18 +73,23 @@ def run(run: Run) -> None:
         Measure("recorder, messages dropped", float(dropped), "", "", "of all topics, since it began"),
         Measure("whole system, mean", float(np.sum([one.cpu.mean() for one in usage.values()])), "% of one core"),
     ]  # fmt: skip
-    run.files.append(write_csv(usage, run.out / "process_stats.csv"))
-    run.picture([plot(usage, run.out / "process_stats.png")], "Processor and memory of every process over time.")
+    run.files += [bag, write_csv(usage, run.out / "process_stats.csv")]
+    behavior = (np.array([at for at, _ in behaviors]), np.array([name for _, name in behaviors]))
+    run.picture([plot(usage, behavior, run.out / "process_stats.png")],
+                "Processor and memory of every process over time; below, what the Motion System did.")  # fmt: skip
 
 
 def _hear(run: Run, topic: Topic) -> Any:
     """The next message of a topic."""
-    network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
-    with bifrost.Node("experiment", network=network) as node:
+    with bifrost.Node("experiment", network=_network(run)) as node:
         received = node.subscriber(topic.name, topic.type).receive(timeout=PATIENCE)
     if received is None:
         raise ValorError(f"{topic.publisher} is silent: no {topic.name} within {PATIENCE:g} s")
     return received.message
+
+
+def _network(run: Run) -> bifrost.Network:
+    return bifrost.Network.load(run.instance.network_file, run.instance.keys)
 
 
 def _robot_time(run: Run) -> float:
