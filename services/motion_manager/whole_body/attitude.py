@@ -2,86 +2,86 @@
 
 A complementary filter (Mahony et al. 2008): the gyroscope is integrated and drawn towards the IMU's attitude. That has
 two errors of its own, which last and are therefore kept beside it: its heading drifts, and its level is off by some
-milliradians, fixed to the IMU. What they are is for others to tell (``turn_heading``, ``tilt``).
+milliradians, fixed to the IMU. What they are is for others to tell (``heading_turned``, ``tilted``).
 """
 
 from __future__ import annotations
 
-from math import exp
+from typing import NamedTuple
+
+import casadi as ca
 
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.rotation import Quaternion
-
-Vector = tuple[float, float, float]
+from motion_manager.whole_body.kernel import Expression
+from motion_manager.whole_body.rotation import Quaternion, Vector
 
 LARGEST_LEVEL = 0.03  # that an IMU's level is believed to be off about an axis [rad]
+SIZE = 15
 
 
-class Attitude:
-    """Orientation of the pelvis in odom.
+class Attitude(NamedTuple):
+    """What is known, as floats or as expressions."""
 
-    Attributes:
-        orientation: of the pelvis in odom.
-    """
+    orientation: Quaternion  # of the pelvis in odom
+    heading: Quaternion = rotation.IDENTITY  # of odom from the IMU's world
+    level: Quaternion = rotation.IDENTITY  # of the pelvis from where the IMU has it, in pelvis
+    rate: Vector = (0.0, 0.0, 0.0)  # of the pelvis in pelvis [rad/s]
 
-    def __init__(self, time_constant: float, imu_in_pelvis: Quaternion) -> None:
-        """Upright.
+    @classmethod
+    def of(cls, numbers: Expression) -> Attitude:
+        """From (15,) numbers, one field after another."""
+        n = [numbers[i] for i in range(SIZE)]
+        return cls(
+            (n[0], n[1], n[2], n[3]), (n[4], n[5], n[6], n[7]), (n[8], n[9], n[10], n[11]), (n[12], n[13], n[14])
+        )
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """(15,) numbers, one field after another."""
+        return (*self.orientation, *self.heading, *self.level, *self.rate)
+
+    def updated(
+        self, imu_orientation: Quaternion, rate: Vector, dt: float, time_constant: float, mounting: Quaternion
+    ) -> Attitude:
+        """Predicted with the angular velocity, corrected with the IMU's attitude.
 
         Args:
+            imu_orientation: in the IMU's world.
+            rate: angular velocity in pelvis [rad/s].
+            dt: since the last period [s].
             time_constant: from the gyroscope to the IMU's attitude [s].
-            imu_in_pelvis: how it is mounted.
+            mounting: of the IMU in pelvis.
         """
-        self._time_constant = time_constant
-        self._mounting = rotation.conjugate(imu_in_pelvis)
-        self._heading = rotation.IDENTITY  # of odom from the IMU's world
-        self._level = rotation.IDENTITY  # of the pelvis from where the IMU has it, in pelvis
-        self._rate: Vector = (0.0, 0.0, 0.0)
-        self._dt, self._gain = 0.0, 0.0
-        self.orientation = rotation.IDENTITY
+        (x, y, z), (px, py, pz) = rate, self.rate
+        half = 0.5 * dt  # trapezoids: the rate has been changing since the last period
+        turn = rotation.small(half * (x + px), half * (y + py), half * (z + pz))
+        predicted = rotation.multiply(self.orientation, turn)
+        pelvis = rotation.multiply(imu_orientation, rotation.conjugate(mounting))
+        measured = rotation.multiply(self.heading, rotation.multiply(pelvis, self.level))
+        w, ex, ey, ez = rotation.multiply(rotation.conjugate(predicted), measured)
+        gain: Expression = 2.0 * (1.0 - ca.exp(-dt / time_constant)) * ca.if_else(w < 0.0, -1.0, 1.0)
+        corrected = rotation.multiply(predicted, rotation.small(gain * ex, gain * ey, gain * ez))
+        return self._replace(orientation=rotation.unit(corrected), rate=rate)
 
-    def reset(self, imu_orientation: Quaternion, angular_velocity: Vector) -> None:
-        """Take the IMU's attitude as it is."""
-        self._heading = self._level = rotation.IDENTITY
-        self._rate = angular_velocity
-        self.orientation = rotation.multiply(imu_orientation, self._mounting)
+    def heading_turned(self, angle: float) -> Attitude:
+        """The heading turned alone, by a small angle [rad]; the orientation follows with the filter."""
+        turned = rotation.multiply(rotation.small(0.0, 0.0, angle), self.heading)
+        return self._replace(heading=rotation.unit(turned))
 
-    def turn(self, angle: float) -> None:
-        """Turn the estimate and the heading about the vertical [rad]."""
-        turned = rotation.about_z(angle)
-        self._heading = rotation.multiply(turned, self._heading)
-        self.orientation = rotation.multiply(turned, self.orientation)
-
-    def turn_heading(self, angle: float) -> None:
-        """Turn the heading alone by a small angle [rad]; the estimate follows with the filter."""
-        self._heading = rotation.quaternion(rotation.multiply(rotation.small(0.0, 0.0, angle), self._heading))
-
-    def tilt(self, vector: Vector) -> bool:
-        """Turn the estimate, and the IMU's level in pelvis with it, by a small rotation vector in pelvis [rad].
+    def tilted(self, vector: Vector) -> tuple[Attitude, Expression]:
+        """The orientation turned, and the IMU's level with it, by a small rotation vector in pelvis [rad].
 
         Returns:
-            False: nothing was turned, for no IMU is so far from level.
+            The attitude; and whether it was turned, for no IMU is further from level than ``LARGEST_LEVEL``.
         """
-        turned = rotation.small(*vector)
-        level = rotation.quaternion(rotation.multiply(self._level, turned))
-        if 2.0 * max(abs(level[1]), abs(level[2])) > LARGEST_LEVEL:
-            return False
-        self._level = level
-        self.orientation = rotation.multiply(self.orientation, turned)
-        return True
+        turn = rotation.small(*vector)
+        level = rotation.unit(rotation.multiply(self.level, turn))
+        taken = 2.0 * ca.fmax(ca.fabs(level[1]), ca.fabs(level[2])) <= LARGEST_LEVEL
+        tilted = self._replace(orientation=rotation.multiply(self.orientation, turn), level=level)
+        return chosen(taken, tilted, self), taken
 
-    def update(self, imu_orientation: Quaternion, angular_velocity: Vector, dt: float) -> None:
-        """Predict with the angular velocity in pelvis [rad/s] over ``dt`` [s], correct with the IMU's attitude."""
-        if dt != self._dt:
-            self._dt, self._gain = dt, 1.0 - exp(-dt / self._time_constant)
-        (x, y, z), (px, py, pz) = angular_velocity, self._rate
-        self._rate = angular_velocity
-        half = 0.5 * dt  # trapezoids: the rate has been changing since the last period
-        predicted = rotation.multiply(
-            self.orientation, rotation.small(half * (x + px), half * (y + py), half * (z + pz))
-        )
-        mounted = rotation.multiply(rotation.multiply(imu_orientation, self._mounting), self._level)
-        measured = rotation.multiply(self._heading, mounted)
-        w, ex, ey, ez = rotation.multiply(rotation.conjugate(predicted), measured)
-        gain = 2.0 * self._gain if w >= 0.0 else -2.0 * self._gain
-        corrected = rotation.multiply(predicted, rotation.small(gain * ex, gain * ey, gain * ez))
-        self.orientation = rotation.quaternion(corrected)
+
+def chosen(condition: Expression, one: Attitude, other: Attitude) -> Attitude:
+    """``one`` where the condition holds, or ``other``."""
+    pairs = zip(one.numbers, other.numbers, strict=True)
+    return Attitude.of([ca.if_else(condition, a, b) for a, b in pairs])

@@ -16,11 +16,15 @@ from the pelvis and R the pelvis' rotation,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import casadi as ca
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from motion_manager.whole_body import rotation
+from motion_manager.whole_body.kernel import Expression, Kernel, parts
 from motion_manager.whole_body.rotation import Quaternion
 from motion_manager.whole_body.state import FloatArray
 from valor_common.model import Indices, Model
@@ -45,6 +49,7 @@ class ModelJoints:
     Attributes:
         places: of them in every joint vector of the robot; a slice, so that indexing costs nothing, if they are
             contiguous there.
+        indices: the same, one by one.
     """
 
     def __init__(self, model: Model) -> None:
@@ -52,21 +57,21 @@ class ModelJoints:
         of_dof = np.zeros(model.mj.nv, dtype=np.intp)
         of_dof[model.dof] = np.arange(len(model.robot.joints), dtype=np.intp)[model.joint_indices]
         self.count = count
-        self._indices = of_dof[6:].copy()
-        first, last = int(self._indices[0]), int(self._indices[-1]) + 1
-        contiguous = np.array_equal(self._indices, np.arange(first, last))
-        self.places: Indices = slice(first, last) if contiguous else self._indices
+        self.indices: list[int] = of_dof[6:].tolist()
+        first, last = self.indices[0], self.indices[-1] + 1
+        contiguous = self.indices == list(range(first, last))
+        self.places: Indices = slice(first, last) if contiguous else np.array(self.indices)
         self._robot = model.robot
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the joints."""
-        return tuple(self._robot.joints[place] for place in self._indices)
+        return tuple(self._robot.joints[place] for place in self.indices)
 
     def group(self, *groups: str) -> npt.NDArray[np.intp]:
         """Which of the model's joints belong to the groups."""
         members = np.concatenate([self._robot.group_indices(group) for group in groups])
-        return np.flatnonzero(np.isin(self._indices, members))
+        return np.flatnonzero(np.isin(self.indices, members))
 
 
 class Dynamics:
@@ -84,6 +89,10 @@ class Dynamics:
         sole_position: (2, 3) from the pelvis, in odom's axes [m]. sole_rotation: (2, 3, 3) in odom.
         chest_rotation: (3, 3) in odom.
         task_velocity: (24,) = jacobian·velocity: CoM and sole velocities relative to the pelvis' linear velocity.
+        configuration: (4 + nj,) orientation of the pelvis in odom, then joint_position; to be written before
+            ``evaluate``. rates: (3 + nj,) angular velocity of the pelvis in pelvis, then joint_velocity; likewise.
+        sole_dofs: of each sole, the degrees of freedom that move it from the pelvis' place: the pelvis' rotation and
+            the leg's joints. Its other columns of the Jacobian are zero, but for the pelvis' linear ones.
     """
 
     def __init__(self, model: Model) -> None:
@@ -111,18 +120,35 @@ class Dynamics:
         self.chest_rotation: FloatArray = data.xmat[self._chest].reshape(3, 3)
         self.sole_position = np.zeros((2, 3))
         self.sole_rotation = np.zeros((2, 3, 3))
-        self._site_position: FloatArray = data.site_xpos
-        self._site_matrix: FloatArray = data.site_xmat.reshape(-1, 3, 3)
-        self._chest_drift: FloatArray = data.cacc[self._chest, :3]  # angular part, in odom's axes
-        self._site_places = np.array(self._soles)
+        self.configuration: FloatArray = data.qpos[3:]
+        self.rates: FloatArray = data.qvel[3:]
+        self.sole_dofs = tuple(self._moving(int(mj.site_bodyid[site])) for site in self._soles)
         self._linear = tuple(self.jacobian[12 + 6 * i : 15 + 6 * i] for i in range(2))
         self._angular = tuple(self.jacobian[15 + 6 * i : 18 + 6 * i] for i in range(2))
         self._chest_rows = self.jacobian[CHEST]
-        self._com_rows = self.jacobian[COM]
-        self._momentum_rows = self.jacobian[MOMENTUM]
-        self._pelvis_rows = self.jacobian[PELVIS, 3:6]
-        self._acceleration = np.zeros(6)
-        self._cross = np.zeros((3, 3))
+        bodies = [self._chest, *(int(mj.site_bodyid[site]) for site in self._soles)]
+        self._accelerations = Kernel(
+            "accelerations",
+            self._expressions,
+            (
+                data.qpos[3:7],
+                self.mass_matrix[:6],
+                self.bias[:6],
+                self.com,
+                *(data.cacc[body] for body in bodies),
+                *(data.cvel[body] for body in bodies[1:]),
+                *(data.site_xpos[site] for site in self._soles),
+                *(data.site_xmat[site] for site in self._soles),
+            ),
+            (
+                self.rotation,
+                self.jacobian[:6],
+                self.jacobian[PELVIS],
+                self.drift,
+                self.sole_position,
+                self.sole_rotation,
+            ),
+        )
         data.qpos[:] = 0.0
         data.qpos[3] = 1.0
 
@@ -137,11 +163,15 @@ class Dynamics:
             position: (nj,) of the model's joints [rad].
             velocity: (nj,) [rad/s].
         """
+        self.configuration[:4] = orientation
+        self.configuration[4:] = position
+        self.rates[:3] = angular_velocity
+        self.rates[3:] = velocity
+        self.evaluate()
+
+    def evaluate(self) -> None:
+        """Evaluate everything at ``configuration`` and ``rates``."""
         m, d = self._model, self._data
-        d.qpos[3:7] = orientation
-        d.qpos[7:] = position
-        d.qvel[3:6] = angular_velocity
-        d.qvel[6:] = velocity
         mujoco.mj_kinematics(m, d)
         mujoco.mj_comPos(m, d)
         mujoco.mj_crb(m, d)
@@ -149,22 +179,10 @@ class Dynamics:
         mujoco.mj_rne(m, d, 0, self.bias)
         mujoco.mj_rnePostConstraint(m, d)  # accelerations of bodies at v̇ = 0: the Jacobians' drift
         mujoco.mj_fullM(m, d, self.mass_matrix)
-        rotation.matrix(orientation, self.rotation)
-        self._centroidal()
-        self._pelvis_rows[:] = self.rotation
         mujoco.mj_jacBody(m, d, None, self._chest_rows, self._chest)
-        drift = self.drift
-        drift[CHEST] = self._chest_drift
-        acceleration = self._acceleration
         for i, site in enumerate(self._soles):
             mujoco.mj_jacSite(m, d, self._linear[i], self._angular[i], site)
-            mujoco.mj_objectAcceleration(m, d, mujoco.mjtObj.mjOBJ_SITE, site, acceleration, 0)
-            row = 12 + 6 * i
-            drift[row : row + 3] = acceleration[3:]
-            drift[row + 2] -= self.gravity  # MuJoCo accelerates the world upwards in gravity's place
-            drift[row + 3 : row + 6] = acceleration[:3]
-        self._site_position.take(self._site_places, 0, self.sole_position)
-        self._site_matrix.take(self._site_places, 0, self.sole_rotation)
+        self._accelerations()
         np.dot(self.jacobian, self.velocity, self.task_velocity)
 
     def nearest(self, one: int, other: int, reach: float, segment: FloatArray) -> float:
@@ -184,15 +202,55 @@ class Dynamics:
         mujoco.mj_jac(self._model, self._data, rows, None, point, body)
         mujoco.mj_jacDot(self._model, self._data, rates, None, point, body)
 
-    def _centroidal(self) -> None:
-        linear, linear_bias = self.mass_matrix[:3], self.bias[:3]
-        np.multiply(linear, 1.0 / self.mass, out=self._com_rows)
-        self.drift[COM] = linear_bias / self.mass
-        self.drift[2] -= self.gravity
-        x, y, z = self.com.tolist()
-        cross = self._cross
-        cross[0, 1], cross[0, 2], cross[1, 2] = -z, y, -x
-        cross[1, 0], cross[2, 0], cross[2, 1] = z, -y, x
-        np.dot(self.rotation, self.mass_matrix[3:6], self._momentum_rows)
-        self._momentum_rows -= cross @ linear
-        self.drift[MOMENTUM] = self.rotation @ self.bias[3:6] - cross @ linear_bias
+    def _moving(self, body: int) -> list[int]:
+        """The degrees of freedom that move a body, but for the pelvis' linear ones."""
+        m = self._model
+        dofs: list[int] = []
+        while body > 0:
+            first = int(m.body_dofadr[body])
+            dofs += range(first, first + int(m.body_dofnum[body])) if first >= 0 else ()
+            body = int(m.body_parentid[body])
+        return sorted(dof for dof in dofs if dof >= 3)
+
+    def _expressions(
+        self,
+        orientation: Expression,
+        mass_rows: Expression,
+        bias: Expression,
+        com: Expression,
+        chest_acceleration: Expression,
+        *soles: Expression,
+    ) -> Sequence[Expression]:
+        """Rotations, centroidal rows and drifts of what MuJoCo has found.
+
+        Args:
+            orientation: (4,) of the pelvis in odom.
+            mass_rows: (6, nv) of the pelvis.
+            bias: (6,) likewise.
+            com: (3,) from the pelvis.
+            chest_acceleration: (6,) spatial, at v̇ = 0, as MuJoCo has it: angular, linear at the CoM.
+            soles: of the left and the right one, (6,) spatial accelerations of the foot, (6,) spatial velocities,
+                (3,) places of the soles and (9,) rotations.
+        """
+        up = ca.vertcat(0.0, 0.0, self.gravity)  # MuJoCo accelerates the world upwards in gravity's place
+        turned = ca.vertcat(*(ca.horzcat(*row) for row in rotation.rows(parts(orientation))))
+        linear, linear_bias = mass_rows[:3, :], bias[:3]
+        lever = ca.skew(com)
+        momentum = turned @ mass_rows[3:, :] - lever @ linear
+        drift = [linear_bias / self.mass - up, turned @ bias[3:] - lever @ linear_bias]
+        drift += [chest_acceleration[:3], ca.SX.zeros(3)]
+        for acceleration, velocity, place in zip(soles[:2], soles[2:4], soles[4:6], strict=True):
+            arm, turning = place - com, velocity[:3]
+            moving = velocity[3:] + ca.cross(turning, arm)
+            at_sole = acceleration[3:] + ca.cross(acceleration[:3], arm) + ca.cross(turning, moving)
+            drift += [at_sole - up, acceleration[:3]]
+        pelvis = ca.horzcat(ca.SX(3, 3), turned, ca.SX(3, self.velocity.size - 6))
+        rotations = (ca.reshape(numbers, 3, 3).T for numbers in soles[6:])
+        return (
+            turned,
+            ca.vertcat(linear / self.mass, momentum),
+            pelvis,
+            ca.vertcat(*drift),
+            ca.horzcat(*soles[4:6]).T,
+            ca.vertcat(*rotations),
+        )

@@ -4,35 +4,105 @@ Never the simulator's truth. Four parts:
 
 - ``Attitude``: gyroscope and the IMU's own attitude; its level comes from gravity, its heading from the standing feet.
 - ``FootContact``: how probably each foot stands.
-- ``OdometryFilter``: a Kalman filter of position, velocity and where the feet stand.
+- ``Odometry``: a Kalman filter of position, velocity and where the feet stand.
 - this: leg kinematics, and what the parts tell each other.
 
 A standing foot is still at its centre of pressure, even when it rolls over an edge or settles on a stone: so the sole's
 origin moves as the sole turns about that point. What the accelerometer seems to measure too much horizontally is
 gravity, seen from an attitude that is not level: δθ = (b_y, −b_x)/g. It goes to the attitude at once, so that odometry
 does not climb: 2 mrad of tilt are 2 mm a metre.
+
+A period is two kernels, with the model's kinematics between them: what was remembered *after* the last period becomes,
+by the IMU, what is known *before* the feet are asked, and that what is remembered after this one.
 """
 
 from __future__ import annotations
 
-from math import exp
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
-from motion_manager.whole_body import rotation
+from motion_manager.whole_body import attitude, foot_contact, rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.attitude import Attitude, Vector
+from motion_manager.whole_body.attitude import Attitude
 from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
-from motion_manager.whole_body.foot_contact import FootContact
-from motion_manager.whole_body.odometry import BIAS, FEET, MEASURES, NOTHING, POSITION, VELOCITY, OdometryFilter
-from motion_manager.whole_body.rotation import Quaternion
-from motion_manager.whole_body.state import FloatArray, RobotState
+from motion_manager.whole_body.foot_contact import FootContact, FootSense, Past
+from motion_manager.whole_body.kernel import Expression, Kernel, parts
+from motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
+from motion_manager.whole_body.state import RobotState
 from valor_common.messages import Proprioceptor
 from valor_common.model import Model
 from valor_common.robot import RobotDescription
 
 LONGEST_GAP = 0.02  # between Proprioceptors that the IMU's rates are believed for [s]
+_CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(
+    np.array(pair, dtype=np.uint8) for pair in ((0, 0), (1, 0), (0, 1), (1, 1))
+)
+for _pair in _CONTACTS:
+    _pair.flags.writeable = False
+
+# What the second kernel tells of the state: fields of RobotState, and their shapes.
+_TOLD: dict[str, tuple[int, ...]] = {
+    "pelvis_position_in_odom": (3,),
+    "pelvis_orientation_in_odom": (4,),
+    "pelvis_rotation_in_odom": (3, 3),
+    "pelvis_linear_velocity_in_odom": (3,),
+    "pelvis_angular_velocity_in_pelvis": (3,),
+    "com_in_odom": (3,),
+    "com_velocity_in_odom": (3,),
+    "dcm_in_odom": (3,),
+    "contact_probability": (2,),
+    "foot_forces": (2,),
+    "cop_in_odom": (2,),
+    "sole_positions_in_odom": (2, 3),
+    "sole_rotations_in_odom": (2, 3, 3),
+    "pelvis_position_variance": (3,),
+    "pelvis_orientation_variance": (3,),
+    "pelvis_linear_velocity_variance": (3,),
+}
+
+
+class Memory(NamedTuple):
+    """What goes from period to period: arrays, or expressions of them."""
+
+    attitude: Expression  # (15,) of ``Attitude``
+    state: Expression  # (5, 3) of ``Odometry``
+    covariance: Expression  # (5, 5) of it
+    acceleration: Expression  # (3,) of it [m/s²]
+    feet: Expression  # (2, 12) of ``Past``, left and right
+    surprise: Expression  # (2,) of the legs' last measurements
+    anchors: Expression  # (2,) how each standing sole is turned in odom [rad]
+    heading_variance: Expression  # (1,) [rad²]
+    joint_velocity: Expression  # (n,) filtered [rad/s]
+
+    @classmethod
+    def zeros(cls, joints: int) -> Memory:
+        """Arrays, for a robot of so many joints."""
+        shapes = ((attitude.SIZE,), (SIZE, 3), (SIZE, SIZE), (3,), (2, foot_contact.SIZE), (2,), (2,), (1,), (joints,))
+        return cls(*(np.zeros(shape) for shape in shapes))
+
+
+class Measured(NamedTuple):
+    """What Proprioceptor says that matters here, as expressions."""
+
+    imu_orientation: Expression  # (4,)
+    imu_angular_velocity: Expression  # (3,)
+    imu_linear_acceleration: Expression  # (3,)
+    left_foot_wrench: Expression  # (6,)
+    right_foot_wrench: Expression  # (6,)
+    joint_position: Expression  # (n,)
+    joint_velocity: Expression  # (n,)
+
+    @classmethod
+    def of(cls, numbers: Expression, joints: int) -> Measured:
+        """From (22 + 2n,) numbers, one field after another."""
+        ends = np.cumsum((0, 4, 3, 3, 6, 6, joints, joints)).tolist()
+        return cls(*ca.vertsplit(numbers, ends))
 
 
 class FloatingBaseEstimator:
@@ -44,31 +114,50 @@ class FloatingBaseEstimator:
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         self._table = table = robot.tables.estimator
-        self.dynamics = Dynamics(model)
-        self._places = self.dynamics.joints.places
+        self.dynamics = dynamics = Dynamics(model)
+        self._joints = len(robot.joints)
         site = model.site(robot.tables.imu.site)
-        mounting = rotation.quaternion(model.mj.site_quat[site])
+        self._mounting = rotation.quaternion(model.mj.site_quat[site])
         if int(model.mj.site_bodyid[site]) != model.body(robot.tables.base):
             raise ValueError(f"{robot.name}: the IMU's site {robot.tables.imu.site!r} is not on the floating base")
-        self._imu_rotation = np.zeros((3, 3))
-        rotation.matrix(mounting, self._imu_rotation)
-        self._attitude = Attitude(table.attitude_time_constant, mounting)
-        self._filter = OdometryFilter(table)
-        weight = self.dynamics.mass * self.dynamics.gravity
+        weight = dynamics.mass * dynamics.gravity
         feet, on, off = robot.tables.feet, table.contact_on * weight, table.contact_off * weight
         self._feet = [
-            FootContact(foot, on, off, table.settling_time, table.surprise_gate) for foot in (feet.left, feet.right)
+            FootSense(foot, on, off, table.settling_time, table.surprise_gate) for foot in (feet.left, feet.right)
         ]
         upper_body = UpperBodyKinematics(model)
-        self._inverse_omega = 1.0 / DcmLaw.natural_frequency(upper_body.nominal_com_height, self.dynamics.gravity)
-        self._gravity = np.array((0.0, 0.0, self.dynamics.gravity))
-        self._raw_velocity = np.zeros(model.mj.nv)
-        self._joint_velocity = np.zeros(len(robot.joints))
-        self._measured = np.zeros((MEASURES, 3))
-        self._variances = np.zeros(MEASURES)
-        self._anchor_yaw = [0.0, 0.0]  # how each standing sole is turned in odom
-        self._heading_variance = 0.0
-        self._dt = self._smoothing = 0.0
+        self._inverse_omega = 1.0 / DcmLaw.natural_frequency(upper_body.nominal_com_height, dynamics.gravity)
+        self._before, self._after = Memory.zeros(self._joints), Memory.zeros(self._joints)
+        self._measured = np.zeros(22 + 2 * self._joints)
+        self._dt = np.zeros(1)
+        self._told = np.zeros(sum(int(np.prod(shape)) for shape in _TOLD.values()))
+        self._touching = np.zeros(2)
+        ends = np.cumsum([0, *(np.prod(shape) for shape in _TOLD.values())]).tolist()
+        places = {name: slice(*pair) for name, pair in zip(_TOLD, pairwise(ends), strict=True)}
+        self._vectors = [(name, place) for name, place in places.items() if len(_TOLD[name]) == 1]
+        self._matrices = [(name, place, _TOLD[name]) for name, place in places.items() if len(_TOLD[name]) > 1]
+        self._feel_motion = Kernel(
+            "imu",
+            self._by_imu,
+            (*self._after, self._measured, self._dt),
+            (*self._before, dynamics.configuration, dynamics.rates),
+        )
+        self._feel_ground = Kernel(
+            "feet",
+            self._by_feet,
+            (
+                *self._before,
+                self._measured,
+                self._dt,
+                dynamics.rotation,
+                dynamics.com,
+                dynamics.task_velocity,
+                dynamics.sole_position,
+                dynamics.sole_rotation,
+                dynamics.jacobian[SOLES],
+            ),
+            (*self._after, self._told, self._touching),
+        )
         self._time = 0
         self._started = False
 
@@ -78,173 +167,237 @@ class FloatingBaseEstimator:
 
     def update(self, proprioceptor: Proprioceptor) -> RobotState:
         """The estimate at a Proprioceptor, whose arrays have the robot's lengths and are finite."""
-        dynamics, odometry = self.dynamics, self._filter
-        orientation = rotation.quaternion(proprioceptor.imu_orientation)
-        angular_velocity = self._imu_rotation @ proprioceptor.imu_angular_velocity
-        specific_force = self._imu_rotation @ proprioceptor.imu_linear_acceleration
-        position, velocity = proprioceptor.joint_position, proprioceptor.joint_velocity
+        np.concatenate(
+            (
+                proprioceptor.imu_orientation,
+                proprioceptor.imu_angular_velocity,
+                proprioceptor.imu_linear_acceleration,
+                proprioceptor.left_foot_wrench,
+                proprioceptor.right_foot_wrench,
+                proprioceptor.joint_position,
+                proprioceptor.joint_velocity,
+            ),
+            out=self._measured,
+        )
         if not self._started:
-            self._start(proprioceptor, orientation, angular_velocity, specific_force)
+            self._start(proprioceptor)
         passed = 1e-9 * (proprioceptor.time - self._time)
         self._time = proprioceptor.time
-        dt = min(max(passed, 0.0), LONGEST_GAP)
-        if dt != self._dt:
-            self._dt = dt
-            self._smoothing = 1.0 - exp(-dt * 2.0 * np.pi * self._table.joint_velocity_bandwidth)
-        rate: Vector = tuple(angular_velocity.tolist())
-        self._attitude.update(orientation, rate, dt)
-        self._joint_velocity = self._joint_velocity + (velocity - self._joint_velocity) * self._smoothing
-        places = self._places
-        dynamics.update(self._attitude.orientation, angular_velocity, position[places], self._joint_velocity[places])
-        self._touch(proprioceptor, dt)
-        odometry.predict(dynamics.rotation @ specific_force - self._gravity, dt, self._wander())
-        self._correct_by_feet(angular_velocity, velocity, dt)
-        return self._state(proprioceptor, angular_velocity)
-
-    def _state(self, proprioceptor: Proprioceptor, angular_velocity: FloatArray) -> RobotState:
-        dynamics, odometry, feet = self.dynamics, self._filter, self._feet
-        base, base_velocity = odometry.state[POSITION].copy(), odometry.state[VELOCITY].copy()
-        com = base + dynamics.com
-        com_velocity = base_velocity + dynamics.task_velocity[COM]
+        self._dt[0] = min(max(passed, 0.0), LONGEST_GAP)
+        self._feel_motion()
+        self.dynamics.evaluate()
+        self._feel_ground()
+        told = self._told.copy()
+        left, right = self._touching.tolist()
         return RobotState(
             time=proprioceptor.time,
             joint_position=proprioceptor.joint_position,
-            joint_velocity=self._joint_velocity,
+            joint_velocity=self._after.joint_velocity.copy(),
             joint_effort=proprioceptor.joint_effort,
-            pelvis_position_in_odom=base,
-            pelvis_orientation_in_odom=np.array(self._attitude.orientation),
-            pelvis_rotation_in_odom=dynamics.rotation.copy(),
-            pelvis_linear_velocity_in_odom=base_velocity,
-            pelvis_angular_velocity_in_pelvis=angular_velocity,
-            com_in_odom=com,
-            com_velocity_in_odom=com_velocity,
-            dcm_in_odom=com + com_velocity * self._inverse_omega,
-            contacts=np.array((feet[0].touching, feet[1].touching), dtype=np.uint8),
-            foot_forces=np.array((feet[0].force, feet[1].force)),
-            contact_probability=np.array((feet[0].probability, feet[1].probability)),
-            cop_in_odom=self._cop(base),
-            sole_positions_in_odom=dynamics.sole_position + base,
-            sole_rotations_in_odom=dynamics.sole_rotation.copy(),
-            pelvis_position_variance=np.full(3, odometry.covariance[POSITION, POSITION]),
-            pelvis_orientation_variance=self._orientation_variance(),
-            pelvis_linear_velocity_variance=np.full(3, odometry.covariance[VELOCITY, VELOCITY]),
-            dynamics=dynamics,
+            contacts=_CONTACTS[int(left + 2.0 * right)],
+            dynamics=self.dynamics,
+            **{name: told[place] for name, place in self._vectors},
+            **{name: told[place].reshape(shape) for name, place, shape in self._matrices},
         )
 
-    def _orientation_variance(self) -> FloatArray:
-        """(3,) about the axes of odom [rad²]: level as uncertain as the accelerometer's error makes it, and heading."""
-        noise, g = self._table.attitude_deviation**2, self.dynamics.gravity
-        level = float(self._filter.covariance[BIAS, BIAS]) / (g * g) + noise
-        return np.array((level, level, self._heading_variance + noise))
-
-    def _start(
-        self,
-        proprioceptor: Proprioceptor,
-        orientation: Quaternion,
-        angular_velocity: FloatArray,
-        specific_force: FloatArray,
-    ) -> None:
+    def _start(self, proprioceptor: Proprioceptor) -> None:
         """Put odom between the feet; whichever carries weight, both are taken to stand."""
-        dynamics, attitude, places = self.dynamics, self._attitude, self._places
+        dynamics, after, table = self.dynamics, self._after, self._table
+        places = dynamics.joints.places
         position, velocity = proprioceptor.joint_position[places], proprioceptor.joint_velocity[places]
-        self._joint_velocity = proprioceptor.joint_velocity.copy()
-        attitude.reset(orientation, tuple(angular_velocity.tolist()))
-        dynamics.update(attitude.orientation, angular_velocity, position, velocity)
-        attitude.turn(-rotation.mean_yaw(dynamics.sole_rotation[0], dynamics.sole_rotation[1]))
-        dynamics.update(attitude.orientation, angular_velocity, position, velocity)
-        self._filter.reset(
-            -dynamics.sole_position.mean(axis=0),
-            dynamics.sole_position,
-            dynamics.rotation @ specific_force - self._gravity,
-        )
-        for foot in self._feet:
-            foot.lift()
-        self._heading_variance = 0.0
+        mounted = np.zeros((3, 3))
+        rotation.matrix(self._mounting, mounted)
+        rate = mounted @ proprioceptor.imu_angular_velocity
+        imu = rotation.quaternion(proprioceptor.imu_orientation)
+        orientation = rotation.multiply(imu, rotation.conjugate(self._mounting))
+        dynamics.update(orientation, rate, position, velocity)
+        turn = rotation.about_z(-rotation.mean_yaw(dynamics.sole_rotation[0], dynamics.sole_rotation[1]))
+        orientation = rotation.multiply(turn, orientation)
+        dynamics.update(orientation, rate, position, velocity)
+        for array in after:
+            array[:] = 0.0
+        after.attitude[:] = Attitude(orientation, heading=turn, rate=tuple(rate.tolist())).numbers
+        after.state[POSITION] = -dynamics.sole_position.mean(axis=0)
+        after.state[FEET:] = after.state[POSITION] + dynamics.sole_position
+        leg = table.leg_position_deviation**2
+        variances = (0.0, table.start_velocity_deviation**2, table.bias_deviation**2, leg, leg)
+        np.fill_diagonal(after.covariance, variances)
+        after.acceleration[:] = dynamics.rotation @ mounted @ proprioceptor.imu_linear_acceleration
+        after.acceleration[2] -= dynamics.gravity
+        after.joint_velocity[:] = proprioceptor.joint_velocity
         self._time = proprioceptor.time
         self._started = True
 
-    def _touch(self, proprioceptor: Proprioceptor, dt: float) -> None:
-        """What the feet feel, and where those stand that have come down."""
-        dynamics, odometry, variance = self.dynamics, self._filter, self._table.foothold_deviation**2
-        wrenches = (proprioceptor.left_foot_wrench.tolist(), proprioceptor.right_foot_wrench.tolist())
-        rotations = dynamics.sole_rotation.tolist()
-        for i, foot in enumerate(self._feet):
-            foot.update(rotations[i], wrenches[i], odometry.surprise[i], dt)
-            if foot.landed:
-                odometry.place(i, dynamics.sole_position[i], variance)
-                self._anchor_yaw[i] = foot.yaw
-                self._heading_variance += self._table.foothold_heading_deviation**2
-            elif foot.touching:
-                odometry.state[FEET + i] += foot.rolled
-                self._anchor_yaw[i] += (1.0 - foot.probability) * (foot.yaw - self._anchor_yaw[i])
+    # --- kernels --------------------------------------------------------------------------------------------------
 
-    def _wander(self) -> tuple[float, float]:
-        """Variance that each foot's place gains a second: little beside the other, more alone, much slipping [m²/s]."""
-        left, right = self._feet
-        both = min(left.probability, right.probability)
-        creep, slip = self._table.creep**2, self._table.slip**2
-        creep += (1.0 - both) * self._table.creep_alone**2
-        return creep + (1.0 - left.probability) * slip, creep + (1.0 - right.probability) * slip
-
-    def _correct_by_feet(self, angular_velocity: FloatArray, velocity: FloatArray, dt: float) -> None:
-        odometry, dynamics, table = self._filter, self.dynamics, self._table
-        left, right = self._feet
-        weights = [foot.probability * foot.force for foot in self._feet]
-        total = weights[0] + weights[1]
-        if total <= 0.0:
-            odometry.fade(dt)
-            self._heading_variance += table.heading_walk**2 * dt
-            return
-        share = (weights[0] / total, weights[1] / total)
-        raw, measured, variances = self._raw_velocity, self._measured, self._variances
-        raw[3:6] = angular_velocity
-        raw[6:] = velocity[self._places]
-        soles = (dynamics.jacobian[SOLES] @ raw).tolist()
-        measured[:2] = dynamics.sole_position
-        place, rate = table.leg_position_deviation**2, table.leg_velocity_deviation**2
-        for i, foot in enumerate(self._feet):
-            measured[2 + i] = _away(soles[6 * i : 6 * i + 3], soles[6 * i + 3 : 6 * i + 6], foot.cop)
-            # Of two feet that disagree, the one that carries less is the likelier to slip.
-            doubt = 0.5 / (share[i] * foot.probability**2) if foot.touching else NOTHING / place
-            variances[i], variances[2 + i] = place * doubt, rate * doubt
-        odometry.correct(measured, variances)
-        self._level(share)
-        if left.touching and right.touching:
-            turned = [anchor - foot.yaw for anchor, foot in zip(self._anchor_yaw, self._feet, strict=True)]
-            turn = share[0] * turned[0] + share[1] * turned[1]
-            self._attitude.turn_heading(dt / table.heading_time_constant * turn)
-        else:
-            self._heading_variance += table.heading_walk**2 * dt
-
-    def _level(self, share: tuple[float, float]) -> None:
-        """Turn the attitude by what the accelerometer measures too much, about the feet."""
-        state, dynamics = self._filter.state, self.dynamics
-        bx, by, _ = state[BIAS].tolist()
-        g = dynamics.gravity
-        x, y = by / g, -bx / g
-        state[BIAS, :2] = 0.0
-        first, second, _ = dynamics.rotation.tolist()
-        a, b, c = (x * u + y * v for u, v in zip(first, second, strict=True))
-        if not self._attitude.tilt((a, b, c)):
-            return
-        px, py, pz = (np.array(share) @ dynamics.sole_position).tolist()
-        state[POSITION] -= (y * pz, -x * pz, x * py - y * px)
-
-    def _cop(self, base: FloatArray) -> FloatArray:
-        """(2,) centre of pressure of both feet in odom [m]; NaN without contact."""
-        left, right = (foot.force if foot.touching else 0.0 for foot in self._feet)
-        total = left + right
-        if total <= 0.0:
-            return np.full(2, np.nan)
-        left, right = left / total, right / total
-        (lx, ly, _), (rx, ry, _) = self._feet[0].cop, self._feet[1].cop
-        (ax, ay, _), (bx, by, _) = self.dynamics.sole_position.tolist()
-        return np.array(
-            (base[0] + left * (ax + lx) + right * (bx + rx), base[1] + left * (ay + ly) + right * (by + ry))
+    def _by_imu(self, *symbols: Expression) -> Sequence[Expression]:
+        """The attitude at this period, the joints' filtered velocities, and the model's configuration and rates."""
+        memory, (numbers, dt) = Memory(*symbols[:-2]), symbols[-2:]
+        measured = Measured.of(numbers, self._joints)
+        imu = parts(measured.imu_orientation)
+        rate = self._in_pelvis(measured.imu_angular_velocity)
+        known = Attitude.of(memory.attitude).updated(
+            rotation.unit(imu), parts(rate), dt, self._table.attitude_time_constant, self._mounting
+        )
+        smoothing = 1.0 - ca.exp(-dt * (2.0 * np.pi * self._table.joint_velocity_bandwidth))
+        velocity = memory.joint_velocity + (measured.joint_velocity - memory.joint_velocity) * smoothing
+        joints = self.dynamics.joints.indices
+        before = memory._replace(attitude=ca.vertcat(*known.numbers), joint_velocity=velocity)
+        return (
+            *before,
+            ca.vertcat(*known.orientation, measured.joint_position[joints]),
+            ca.vertcat(rate, velocity[joints]),
         )
 
+    def _in_pelvis(self, vector: Expression) -> Expression:
+        """(3,) of the IMU's axes."""
+        return ca.DM(rotation.rows(self._mounting)) @ vector
 
-def _away(linear: list[float], angular: list[float], place: Vector) -> Vector:
-    """The velocity of a body from its point at ``place``: −(v + ω×r)."""
-    (vx, vy, vz), (wx, wy, wz), (x, y, z) = linear, angular, place
-    return wz * y - wy * z - vx, wx * z - wz * x - vy, wy * x - wx * y - vz
+    def _by_feet(self, *symbols: Expression) -> Sequence[Expression]:
+        """What the feet feel and the legs measure; all of the state."""
+        memory, (numbers, dt, turned, com, task_velocity, soles, sole_rotations, jacobian) = (
+            Memory(*symbols[:-8]),
+            symbols[-8:],
+        )
+        measured, table, dynamics = Measured.of(numbers, self._joints), self._table, self.dynamics
+        known = Attitude.of(memory.attitude)
+        odometry = Odometry(memory.state, memory.covariance, memory.acceleration)
+        heading_variance, anchors = memory.heading_variance, list(parts(memory.anchors))
+        rotations = ca.vertsplit(sole_rotations, 3)
+        places = [place.T for place in ca.vertsplit(soles)]
+
+        feet: list[FootContact] = []
+        wrenches = (measured.left_foot_wrench, measured.right_foot_wrench)
+        for i, sense in enumerate(self._feet):
+            foot = sense.feel(Past.of(memory.feet[i, :].T), rotations[i], wrenches[i], memory.surprise[i], dt)
+            feet.append(foot)
+            rolling = ca.if_else(ca.logic_and(foot.touching, ca.logic_not(foot.landed)), foot.rolled, 0.0)
+            state = ca.SX(odometry.state)
+            state[FEET + i, :] += rolling.T
+            odometry = odometry._replace(state=state)
+            odometry = odometry.placed(i, foot.landed, places[i], table.foothold_deviation**2)
+            # A foot that surely stands keeps its heading; one that does not takes it along.
+            share = ca.if_else(foot.touching, ca.if_else(foot.landed, 1.0, 1.0 - foot.probability), 0.0)
+            anchors[i] += share * (foot.yaw - anchors[i])
+            heading_variance += ca.if_else(foot.landed, table.foothold_heading_deviation**2, 0.0)
+        left, right = feet
+
+        force = turned @ self._in_pelvis(measured.imu_linear_acceleration)
+        acceleration = force - ca.vertcat(0.0, 0.0, dynamics.gravity)
+        odometry = odometry.predicted(acceleration, dt, self._wander(left, right), table)
+
+        weights = [foot.probability * foot.force for foot in feet]
+        total = weights[0] + weights[1]
+        standing, both = total > 0.0, ca.logic_and(left.touching, right.touching)
+        shares = [ca.if_else(standing, weight / total, 0.0) for weight in weights]
+        rates = ca.vertcat(
+            self._in_pelvis(measured.imu_angular_velocity), measured.joint_velocity[dynamics.joints.indices]
+        )
+        legs, variances = self._by_legs(feet, shares, places, jacobian, rates)
+        surprise = [
+            ca.if_else(standing, now, before)
+            for now, before in zip(odometry.surprise(legs, variances), parts(memory.surprise), strict=True)
+        ]
+        corrected, faded = odometry.corrected(legs, variances), odometry.faded(dt, table.hang_time_constant)
+        middle = shares[0] * places[0] + shares[1] * places[1]
+        corrected, levelled = self._levelled(known, corrected, turned, middle)
+        odometry = Odometry(*(ca.if_else(standing, one, two) for one, two in zip(corrected, faded, strict=True)))
+        known = attitude.chosen(standing, levelled, known)
+        turn = sum(share * (anchor - foot.yaw) for share, anchor, foot in zip(shares, anchors, feet, strict=True))
+        held = ca.logic_and(standing, both)
+        known = attitude.chosen(held, known.heading_turned(dt / table.heading_time_constant * turn), known)
+        heading_variance += ca.if_else(held, 0.0, table.heading_walk**2 * dt)
+
+        after = Memory(
+            ca.vertcat(*known.numbers),
+            *odometry,
+            ca.horzcat(left.past.numbers, right.past.numbers).T,
+            ca.vertcat(*surprise),
+            ca.vertcat(*anchors),
+            heading_variance,
+            memory.joint_velocity,
+        )
+        base, velocity = odometry.state[POSITION, :].T, odometry.state[VELOCITY, :].T
+        com_velocity = velocity + task_velocity[COM]
+        level = odometry.covariance[BIAS, BIAS] / dynamics.gravity**2
+        told = {
+            "pelvis_position_in_odom": base,
+            "pelvis_orientation_in_odom": ca.vertcat(*known.orientation),
+            "pelvis_rotation_in_odom": turned,
+            "pelvis_linear_velocity_in_odom": velocity,
+            "pelvis_angular_velocity_in_pelvis": rates[:3],
+            "com_in_odom": base + com,
+            "com_velocity_in_odom": com_velocity,
+            "dcm_in_odom": base + com + com_velocity * self._inverse_omega,
+            "contact_probability": ca.vertcat(left.probability, right.probability),
+            "foot_forces": ca.vertcat(left.force, right.force),
+            "cop_in_odom": base[:2] + _cop(feet, places),
+            "sole_positions_in_odom": ca.horzcat(base + places[0], base + places[1]).T,
+            "sole_rotations_in_odom": sole_rotations,
+            "pelvis_position_variance": ca.repmat(odometry.covariance[POSITION, POSITION], 3),
+            # Level as uncertain as the accelerometer's error makes it.
+            "pelvis_orientation_variance": ca.vertcat(level, level, heading_variance) + table.attitude_deviation**2,
+            "pelvis_linear_velocity_variance": ca.repmat(odometry.covariance[VELOCITY, VELOCITY], 3),
+        }
+        return *after, ca.vertcat(*(ca.vec(told[name].T) for name in _TOLD)), ca.vertcat(left.touching, right.touching)
+
+    def _wander(self, left: FootContact, right: FootContact) -> tuple[Expression, Expression]:
+        """Variance that each foot's place gains a second: little beside the other, more alone, much slipping [m²/s]."""
+        creep, slip = self._table.creep**2, self._table.slip**2
+        creep += (1.0 - ca.fmin(left.probability, right.probability)) * self._table.creep_alone**2
+        return creep + (1.0 - left.probability) * slip, creep + (1.0 - right.probability) * slip
+
+    def _by_legs(
+        self,
+        feet: Sequence[FootContact],
+        shares: Sequence[Expression],
+        places: Sequence[Expression],
+        jacobian: Expression,
+        rates: Expression,
+    ) -> tuple[Expression, Expression]:
+        """(4, 3) what the legs measure, and its (4,) variances.
+
+        Args:
+            feet: left and right.
+            shares: of the weight on each that is believed.
+            places: (3,) of each sole from the pelvis, in odom's axes [m].
+            jacobian: (12, nv) of the soles.
+            rates: (nv − 3,) angular velocity of the pelvis and of the joints, as measured [rad/s].
+        """
+        place, rate = self._table.leg_position_deviation**2, self._table.leg_velocity_deviation**2
+        velocities, doubts = [], []
+        for i, foot in enumerate(feet):
+            moving = self.dynamics.sole_dofs[i]
+            rows = jacobian[6 * i : 6 * i + 6, moving] @ rates[[dof - 3 for dof in moving]]
+            # The velocity of the pelvis from the centre of pressure, which stands still: −(v + ω×r).
+            velocities.append(-(rows[:3] + ca.cross(rows[3:], foot.cop)))
+            # Of two feet that disagree, the one that carries less is the likelier to slip.
+            doubts.append(ca.if_else(foot.touching, 0.5 / (shares[i] * foot.probability**2), NOTHING / place))
+        measured = ca.horzcat(*places, *velocities).T
+        return measured, ca.vertcat(*(place * doubt for doubt in doubts), *(rate * doubt for doubt in doubts))
+
+    def _levelled(
+        self, known: Attitude, odometry: Odometry, turned: Expression, middle: Expression
+    ) -> tuple[Odometry, Attitude]:
+        """The attitude turned by what the accelerometer measures too much, the pelvis about the feet.
+
+        Args:
+            known: of the attitude.
+            odometry: corrected.
+            turned: (3, 3) pelvis in odom.
+            middle: (3,) of the feet from the pelvis, as they are loaded, in odom's axes [m].
+        """
+        state, g = ca.SX(odometry.state), self.dynamics.gravity
+        tilt = ca.vertcat(state[BIAS, 1] / g, -state[BIAS, 0] / g, 0.0)
+        levelled, taken = known.tilted(parts(turned.T @ tilt))
+        state[BIAS, :2] = 0.0
+        state[POSITION, :] -= ca.if_else(taken, ca.cross(tilt, middle), 0.0).T
+        return odometry._replace(state=state), levelled
+
+
+def _cop(feet: Sequence[FootContact], places: Sequence[Expression]) -> Expression:
+    """(2,) centre of pressure of both feet, from the pelvis, in odom's axes [m]; NaN without contact."""
+    loads = [ca.if_else(foot.touching, foot.force, 0.0) for foot in feet]
+    total = loads[0] + loads[1]
+    cop = sum(load / total * (place + foot.cop) for load, place, foot in zip(loads, places, feet, strict=True))
+    return ca.if_else(total > 0.0, cop[:2], ca.DM.nan(2))

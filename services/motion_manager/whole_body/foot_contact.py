@@ -2,86 +2,93 @@
 
 from __future__ import annotations
 
-from math import atan2
+from dataclasses import dataclass
+from typing import NamedTuple
 
+import casadi as ca
+
+from motion_manager.whole_body.kernel import Expression
 from valor_common.robot import Foot
-
-Vector = tuple[float, float, float]
-Rows = list[list[float]]
 
 SURPRISE_TIME = 0.02  # over which surprise is averaged, so that noise alone is none [s]
 LEAST = 0.05  # probability of a foot in contact: it never says nothing at all
+SIZE = 12
 
 
-class FootContact:
-    """One foot in one period, in odom's axes: floats, for there are too few numbers for NumPy.
+class Past(NamedTuple):
+    """What is remembered of a foot, as expressions; all zero: it is in the air."""
 
-    Attributes:
-        touching: whether the foot carries weight, with hysteresis.
-        landed: whether it has begun to in this period.
-        probability: that it stands still, 0 to 1.
-        force: vertical [N].
-        cop: (3,) centre of pressure from the sole's origin [m].
-        rolled: (3,) how far the sole's origin has moved in this period while the centre of pressure stood still [m].
-        yaw: of the sole [rad].
-    """
+    touching: Expression  # whether it carried weight
+    stood: Expression  # for how long [s]
+    surprise: Expression  # squared, in standard deviations, averaged
+    rotation: Expression  # (3, 3) of the sole in odom
 
-    def __init__(self, foot: Foot, contact_on: float, contact_off: float, settling: float, gate: float) -> None:
-        """In the air.
+    @classmethod
+    def of(cls, numbers: Expression) -> Past:
+        """From (12,) numbers, one field after another, row by row."""
+        return cls(numbers[0], numbers[1], numbers[2], ca.reshape(numbers[3:12], 3, 3).T)
+
+    @property
+    def numbers(self) -> Expression:
+        """(12,) numbers, one field after another, row by row."""
+        return ca.vertcat(self.touching, self.stood, self.surprise, ca.vec(self.rotation.T))
+
+
+class FootContact(NamedTuple):
+    """One foot in one period, in odom's axes, as expressions."""
+
+    touching: Expression  # whether the foot carries weight, with hysteresis
+    landed: Expression  # whether it has begun to in this period
+    probability: Expression  # that it stands still, 0 to 1
+    force: Expression  # vertical [N]
+    cop: Expression  # (3,) centre of pressure from the sole's origin [m]
+    rolled: Expression  # (3,) how far the sole's origin has moved since, while the centre of pressure stood still [m]
+    yaw: Expression  # of the sole [rad]
+    past: Past  # for the next period
+
+
+@dataclass(frozen=True, slots=True)
+class FootSense:
+    """What a foot is known by."""
+
+    foot: Foot  # its sole
+    on: float  # vertical force from which on it surely carries weight [N]
+    off: float  # until which it surely does not [N]
+    settling: float  # how long it takes to come to rest [s]
+    gate: float  # squared surprise (standard deviations), averaged, that a standing foot may give
+
+    def feel(
+        self, past: Past, rotation: Expression, wrench: Expression, surprise: Expression, dt: Expression
+    ) -> FootContact:
+        """The foot in this period.
 
         Args:
-            foot: its sole.
-            contact_on: vertical force from which on it surely carries weight [N].
-            contact_off: until which it surely does not [N].
-            settling: how long a foot takes to come to rest [s].
-            gate: squared surprise (standard deviations), averaged, that a standing foot may give.
-        """
-        self._on, self._off, self._settling, self._gate = contact_on, contact_off, settling, gate
-        self._heel, self._toe, self._half_width = foot.heel, foot.toe, foot.half_width
-        self._rows: Rows = []
-        self.lift()
-
-    def lift(self) -> None:
-        """Forget everything: in the air."""
-        self.touching = self.landed = False
-        self.probability = self.force = self.yaw = self._stood = self._surprise = 0.0
-        self.cop = self.rolled = (0.0, 0.0, 0.0)
-
-    def update(self, rows: Rows, wrench: list[float], surprise: float, dt: float) -> None:
-        """A period.
-
-        Args:
-            rows: (3, 3) of the sole in odom.
+            past: of the last period.
+            rotation: (3, 3) of the sole in odom.
             wrench: (6,) at the sole, in sole [N, N·m].
             surprise: how far its leg's last measurement was from what was expected, squared, in standard deviations.
             dt: since the last period [s].
         """
-        (a, b, _), (d, e, _), (g, h, i) = rows
-        fx, fy, fz, tx, ty, _ = wrench
-        self.force = force = g * fx + h * fy + i * fz
-        self.yaw = atan2(d, a)
-        before = self.touching
-        self.touching = touching = force >= (self._off if before else self._on)
-        self.landed = touching and not before
-        x = y = 0.0
-        if fz > self._off:
-            x = min(max(-ty / fz, self._heel), self._toe)
-            y = min(max(tx / fz, -self._half_width), self._half_width)
-        self.cop = (a * x + b * y, d * x + e * y, g * x + h * y)
-        if not touching:
-            self.probability = self._stood = self._surprise = 0.0
-            return
-        if before:
-            self._stood += dt
-            (pa, pb, _), (pd, pe, _), (pg, ph, _) = self._rows
-            self.rolled = (
-                (pa - a) * x + (pb - b) * y,
-                (pd - d) * x + (pe - e) * y,
-                (pg - g) * x + (ph - h) * y,
-            )
-        self._rows = rows
-        loaded = min(1.0, (force - self._off) / (self._on - self._off))
-        self._surprise += (surprise - self._surprise) * min(1.0, dt / SURPRISE_TIME)
-        still = min(1.0, self._gate / max(self._surprise, 1e-9)) ** 2
-        settled = min(1.0, self._stood / self._settling)
-        self.probability = max(LEAST, loaded * settled * still)
+        fz, tx, ty = wrench[2], wrench[3], wrench[4]
+        force = (rotation @ wrench[:3])[2]
+        touching = force >= ca.if_else(past.touching, self.off, self.on)
+        pressed = fz > self.off
+        foot = self.foot
+        x = ca.if_else(pressed, ca.fmin(ca.fmax(-ty / fz, foot.heel), foot.toe), 0.0)
+        y = ca.if_else(pressed, ca.fmin(ca.fmax(tx / fz, -foot.half_width), foot.half_width), 0.0)
+        place = ca.vertcat(x, y, 0.0)
+        stood = ca.if_else(past.touching, past.stood + dt, 0.0)
+        averaged = past.surprise + (surprise - past.surprise) * ca.fmin(1.0, dt / SURPRISE_TIME)
+        loaded = ca.fmin(1.0, (force - self.off) / (self.on - self.off))
+        still = ca.fmin(1.0, self.gate / ca.fmax(averaged, 1e-9)) ** 2
+        settled = ca.fmin(1.0, stood / self.settling)
+        return FootContact(
+            touching=touching,
+            landed=ca.logic_and(touching, ca.logic_not(past.touching)),
+            probability=ca.if_else(touching, ca.fmax(LEAST, loaded * settled * still), 0.0),
+            force=force,
+            cop=rotation @ place,
+            rolled=(past.rotation - rotation) @ place,
+            yaw=ca.atan2(rotation[1, 0], rotation[0, 0]),
+            past=Past(touching, ca.if_else(touching, stood, 0.0), ca.if_else(touching, averaged, 0.0), rotation),
+        )

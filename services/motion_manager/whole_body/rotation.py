@@ -1,6 +1,7 @@
 """Rotations as the control loop needs them: quaternions (w, x, y, z) as tuples of floats.
 
-Python floats, for a NumPy call on four numbers costs more than the arithmetic.
+Python floats, for a NumPy call on four numbers costs more than the arithmetic. What multiplies and turns quaternions
+does it to expressions of ``kernel``, too.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from motion_manager.whole_body.state import FloatArray
 
 Quaternion = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
@@ -27,6 +29,13 @@ def quaternion(values: Iterable[float]) -> Quaternion:
     norm = sqrt(w * w + x * x + y * y + z * z)
     if not 1e-6 < norm < 1e6:
         raise ValueError(f"quaternion {(w, x, y, z)} has norm {norm}, expected 1")
+    return w / norm, x / norm, y / norm, z / norm
+
+
+def unit(a: Quaternion) -> Quaternion:
+    """A quaternion that is nearly one already, made it."""
+    w, x, y, z = a
+    norm = (w * w + x * x + y * y + z * z) ** 0.5
     return w / norm, x / norm, y / norm, z / norm
 
 
@@ -50,7 +59,7 @@ def conjugate(a: Quaternion) -> Quaternion:
 def small(x: float, y: float, z: float) -> Quaternion:
     """The rotation by a rotation vector [rad] of less than about 0.3 rad (error below 1e-5)."""
     x, y, z = 0.5 * x, 0.5 * y, 0.5 * z
-    norm = sqrt(1.0 + x * x + y * y + z * z)
+    norm = (1.0 + x * x + y * y + z * z) ** 0.5
     return 1.0 / norm, x / norm, y / norm, z / norm
 
 
@@ -59,13 +68,20 @@ def about_z(angle: float) -> Quaternion:
     return cos(0.5 * angle), 0.0, 0.0, sin(0.5 * angle)
 
 
-def matrix(a: Quaternion, out: FloatArray) -> None:
-    """Write the (3, 3) rotation matrix of a unit quaternion into ``out``."""
+def rows(a: Quaternion) -> tuple[Vector, Vector, Vector]:
+    """The (3, 3) rotation matrix of a unit quaternion."""
     w, x, y, z = a
     xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
-    out[0] = (1.0 - 2.0 * (yy + zz), 2.0 * (xy - wz), 2.0 * (xz + wy))
-    out[1] = (2.0 * (xy + wz), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - wx))
-    out[2] = (2.0 * (xz - wy), 2.0 * (yz + wx), 1.0 - 2.0 * (xx + yy))
+    return (
+        (1.0 - 2.0 * (yy + zz), 2.0 * (xy - wz), 2.0 * (xz + wy)),
+        (2.0 * (xy + wz), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - wx)),
+        (2.0 * (xz - wy), 2.0 * (yz + wx), 1.0 - 2.0 * (xx + yy)),
+    )
+
+
+def matrix(a: Quaternion, out: FloatArray) -> None:
+    """Write the (3, 3) rotation matrix of a unit quaternion into ``out``."""
+    out[:] = rows(a)
 
 
 def yaw(rotation: FloatArray) -> float:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import casadi as ca
 import msgspec
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ import pytest
 from motion_manager.whole_body import FloatingBaseEstimator, RobotState, rotation
 from motion_manager.whole_body.attitude import LARGEST_LEVEL, Attitude
 from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, OdometryFilter
+from motion_manager.whole_body.kernel import Expression, Kernel
+from motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, Odometry
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop
 from tests.unit.whole_body.conftest import FloatArray
@@ -181,27 +184,27 @@ def test_heading_drift_of_the_imu_is_held_by_the_feet(
 
 def test_attitude_filter_takes_the_gyroscopes_motion_and_the_imus_level() -> None:
     rng = np.random.default_rng(5)
-    attitude = Attitude(0.1, rotation.IDENTITY)
-    attitude.reset(rotation.IDENTITY, (0.0, 0.0, 0.1))
+    attitude = Attitude(rotation.IDENTITY, rate=(0.0, 0.0, 0.1))
     truth, dt, deviations = rotation.IDENTITY, 0.002, []
     for k in range(3000):
         rate = np.array((0.5 * np.sin(0.01 * k), 0.3 * np.cos(0.02 * k), 0.1))
         truth = rotation.quaternion(rotation.multiply(truth, rotation.small(*(rate * dt).tolist())))
         noisy = rotation.multiply(truth, rotation.small(*rng.normal(scale=0.002, size=3).tolist()))
         x, y, z = (rate + rng.normal(scale=0.005, size=3)).tolist()
-        attitude.update(noisy, (x, y, z), dt)
+        attitude = attitude.updated(noisy, (x, y, z), dt, 0.1, rotation.IDENTITY)
         w, *_ = rotation.multiply(rotation.conjugate(truth), attitude.orientation)
-        deviations.append(2.0 * np.arccos(min(1.0, abs(w))))
+        deviations.append(2.0 * np.arccos(min(1.0, abs(float(w)))))
     assert np.sqrt(np.mean(np.square(deviations))) < 0.0007  # of 0.0035 that the IMU's own has
 
 
 def test_no_imu_is_believed_to_be_mounted_askew() -> None:
-    attitude = Attitude(0.1, rotation.IDENTITY)
-    attitude.reset(rotation.IDENTITY, (0.0, 0.0, 0.0))
-    taken = [attitude.tilt((0.001, 0.0, 0.0)) for _ in range(100)]
+    attitude, taken = Attitude(rotation.IDENTITY), []
+    for _ in range(100):
+        attitude, turned = attitude.tilted((0.001, 0.0, 0.0))
+        taken.append(bool(turned))
     assert taken == sorted(taken, reverse=True)  # until the limit, then no more
     w, x, *_ = attitude.orientation
-    assert LARGEST_LEVEL - 0.0015 < 2.0 * np.arctan2(x, w) <= LARGEST_LEVEL
+    assert LARGEST_LEVEL - 0.0015 < 2.0 * np.arctan2(float(x), float(w)) <= LARGEST_LEVEL
 
 
 def test_an_imu_that_is_off_level_is_found_out_by_gravity(
@@ -357,22 +360,37 @@ def test_a_slipping_foot_is_not_believed(robot: RobotDescription, model: Model, 
 def test_the_filters_covariance_stays_one(robot: RobotDescription) -> None:
     """Symmetric and positive after twenty thousand periods of irregular length, footholds and absences."""
     rng = np.random.default_rng(0)
-    odometry = OdometryFilter(robot.tables.estimator)
+    table = robot.tables.estimator
+    state, covariance, _ = before = np.zeros((SIZE, 3)), np.zeros((SIZE, SIZE)), np.zeros(3)
+    after = tuple(array.copy() for array in before)
+    felt, landed, noise, variances, dt = np.zeros(3), np.zeros(2), np.zeros((4, 3)), np.zeros(4), np.zeros(1)
     soles = np.array(((0.0, 0.1, -0.8), (0.0, -0.1, -0.8)))
-    odometry.reset(np.zeros(3), soles, np.zeros(3))
-    variances = np.array((4e-6, 4e-6, 4e-4, 4e-4))
+
+    def period(*symbols: Expression) -> Sequence[Expression]:
+        odometry = Odometry(*symbols[:3])
+        felt, landed, noise, variances, dt = symbols[3:]
+        for foot in range(2):
+            odometry = odometry.placed(foot, landed[foot], ca.DM(soles[0]), 1e-6)
+        odometry = odometry.predicted(felt, dt, (1e-8, 1e-8), table)
+        measured = [odometry.state[FEET + foot, :] - odometry.state[0, :] for foot in range(2)]
+        return odometry.corrected(ca.vertcat(*measured, ca.SX.zeros(2, 3)) + noise, variances)
+
+    run = Kernel("period", period, (*before, felt, landed, noise, variances, dt), after)
+    state[FEET:] = soles
+    np.fill_diagonal(covariance, (0.0, 2.5e-3, 2.5e-3, 4e-6, 4e-6))
+    deviations = np.array((4e-6, 4e-6, 4e-4, 4e-4)) ** 0.5
     for k in range(20_000):
-        odometry.predict(rng.normal(scale=0.3, size=3), 0.002 * rng.integers(1, 4), (1e-8, 1e-8))
-        if k % 400 == 0:
-            odometry.place(k // 400 % 2, soles[0], 1e-6)
+        felt[:], dt[0] = rng.normal(scale=0.3, size=3), 0.002 * rng.integers(1, 4)
+        landed[:] = (k % 800 == 0, k % 800 == 400)
         swinging = k // 200 % 3
-        seen = variances.copy()
+        variances[:] = deviations**2
         if swinging < 2:
-            seen[swinging] = seen[2 + swinging] = NOTHING
-        noise = rng.normal(size=(4, 3)) * np.sqrt(variances)[:, None]
-        odometry.correct(np.vstack((odometry.state[FEET:] - odometry.state[0], np.zeros((2, 3)))) + noise, seen)
-    covariance = odometry.covariance
+            variances[[swinging, 2 + swinging]] = NOTHING
+        noise[:] = rng.normal(size=(4, 3)) * deviations[:, None]
+        run()
+        for old, new in zip(before, after, strict=True):
+            old[:] = new
     assert covariance.shape == (SIZE, SIZE)
     np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9, atol=1e-15)
     assert np.linalg.eigvalsh(covariance).min() > 0.0
-    assert np.abs(odometry.state[1]).max() < 0.05
+    assert np.abs(state[1]).max() < 0.05
