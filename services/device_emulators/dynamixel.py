@@ -39,7 +39,7 @@ class _JointServo:
         self.turned = 0.0  # where one that spins is to be now, from its zero [rad]
         self.jump = 0.0  # by which its encoder is off [rad]
         self.temperature = ROOM
-        self.time: float | None = None  # when it felt its joint last [s]
+        self.time: float | None = None  # when it felt its joint last [s of the robot]
         self.state: tuple[object, ...] = ()  # that its motor was told last
 
 
@@ -101,8 +101,9 @@ class DynamixelEmulator(Emulator):
     def _feel(self, each: _JointServo, now: float, robot: SimulatedRobot) -> None:
         """What encoder, current sensor, thermometer and voltmeter say."""
         measured, place, servo = robot.measured, each.joint, each.servo
-        elapsed = 0.0 if each.time is None else now - each.time
-        each.time = now
+        # A slow computer is a slow robot: what turns and warms does so in the robot's time, not the wall's.
+        elapsed = 0.0 if each.time is None else robot.time - each.time
+        each.time = robot.time
         position, velocity, effort = (
             each.table.direction * float(values[place][0])
             for values in (measured.joint_position, measured.joint_velocity, measured.joint_effort)
