@@ -49,6 +49,7 @@ PUSHES = ((15.0, 0.0), (0.0, 15.0), (20.0, 0.0), (0.0, -20.0))  # forward, left 
 LOST = ("fall", "freeze", "soft_stop", "idle")  # behaviors from which no trial goes on
 BETWEEN_PUSHES = 4.0  # [robot time, s]
 LOOK_ASIDE = (-0.5, 0.25)  # neck: yaw, pitch [rad]
+DEVICE_ROW = "valor: device "  # how the names of their rows in /diagnostics begin
 ROS_TOPICS = ("/joint_states", "/odom", "/imu/data", "/tf", "/tf_static", "/robot_description", "/diagnostics",
               "/flor/controller/mode")  # fmt: skip
 
@@ -257,12 +258,15 @@ def pushes(bench: Bench) -> Values:
 def told(bench: Bench) -> Values:
     """What ``status`` and ``/diagnostics`` say when all is well: processes not ready, restarts, units not well."""
     look = status.look(bench.instance)
+    yield "real-time factor", bench.system.observer.timeliness()["real_time_factor"]
     yield "status: not ready, or restarted", sum(each.state != "ready" or each.restarts > 0 for each in look.services)
     if bench.variant == "hardware":
-        levels = _device_rows(bench)
+        rows = _device_rows(bench)
         expected = sum(map(_units, bench.robot.tables.devices.values()))
-        yield "/diagnostics: units missing or not well", expected - sum(level == 0 for level in levels.values())
-    yield "real-time factor", bench.system.observer.timeliness()["real_time_factor"]
+        ailing = [f"{name.removeprefix(DEVICE_ROW)}: {text}" for name, (level, text) in rows.items() if level]
+        yield "/diagnostics: units missing or not well", expected - len(rows) + len(ailing)
+        if ailing:
+            raise ValorError(", ".join(ailing))
 
 
 def _units(device: Device) -> int:
@@ -279,8 +283,8 @@ def _units(device: Device) -> int:
     return 1
 
 
-def _device_rows(bench: Bench) -> dict[str, int]:
-    """Level of each unit by ``/diagnostics``; of those that say all that there is to say."""
+def _device_rows(bench: Bench) -> dict[str, tuple[int, str]]:
+    """Level and words of each unit by ``/diagnostics``; of those that say all that there is to say."""
     from diagnostic_msgs.msg import DiagnosticArray
 
     from valorctl.ros_client import RosClient
@@ -289,9 +293,9 @@ def _device_rows(bench: Bench) -> dict[str, int]:
     with RosClient(bench.instance, bench.hear) as ros:
         ros.subscribe(DiagnosticArray, "/diagnostics", heard.append, 1)
         ros.wait(lambda: len(heard) > 1, 10.0, "/diagnostics silent")
-    rows = [row for row in heard[-1].status if row.name.startswith("valor: device ")]
-    whole = ("rate [Hz]", "latency [ms]", "age [ms]")
-    return {row.name: row.level[0] for row in rows if {pair.key for pair in row.values} >= set(whole)}
+    rows = [row for row in heard[-1].status if row.name.startswith(DEVICE_ROW)]
+    whole = {"rate [Hz]", "latency [ms]", "age [ms]"}
+    return {row.name: (row.level[0], row.message) for row in rows if {pair.key for pair in row.values} >= whole}
 
 
 TRIALS: dict[str, Callable[[Bench], Values]] = {
