@@ -331,8 +331,11 @@ def recorded(bag: Path, expected: set[str]) -> Values:
     yield "bag: dropped", sum(each["dropped"] for each in counts.values())
     absent = sorted(topic for topic in expected if not counts.get(topic, {}).get("written"))
     yield "bag: topics missing", len(absent)
-    if absent:
-        raise ValorError(f"not in the bag: {', '.join(absent)}")
+    lost = [
+        f"{topic}: {each['dropped']} of {each['received']} lost" for topic, each in counts.items() if each["dropped"]
+    ]
+    if absent or lost:
+        raise ValorError("; ".join([f"not in the bag: {topic}" for topic in absent] + lost))
 
 
 def expected_topics(profile: str, robot: RobotDescription) -> set[str]:
