@@ -30,7 +30,7 @@ from motion_manager.joint_reference import JointReference
 from motion_manager.posture_control import PostureControl
 from motion_manager.rejections import Rejections
 from motion_manager.upper_body import UpperBody
-from motion_manager.watchdogs import ProprioceptorWatchdog
+from motion_manager.watchdogs import Gap, ProprioceptorWatchdog
 from motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,
@@ -201,9 +201,11 @@ class MotionManager:
         before, self._time = self._time, proprioceptor.time
         gap = self._watchdog.discontinuity(proprioceptor)
         if gap or not self.in_control:
-            self._begin(gap)
+            self._begin()
             before = self._time
         state = self._state = self._estimator.update(proprioceptor)
+        if gap or not self.in_control:
+            self._take_over(gap, state)
         self._watch(state)
         if self.fsm.behavior is Behavior.IDLE and not self.in_control:
             self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
@@ -223,16 +225,38 @@ class MotionManager:
         self._drive(state, now, dt)
         self.in_control = True
 
-    def _begin(self, gap: str) -> None:
+    def _begin(self) -> None:
         """A robot comes into our hands, for the first time or after we have lost sight of it."""
         self._taken_over = self._time
         self._estimator.reset()
         self._detector.reset()
+
+    def _take_over(self, gap: Gap | None, state: RobotState) -> None:
+        """Whatever held the joints begins anew, from where they are found."""
         if gap:
-            _log.warning("%s", gap)
-            self._fall(gap)
+            self._find_again(gap, state)
         if self.fsm.locomotion not in (Locomotion.FALL, Locomotion.GET_UP):
-            self._locomotion = None  # whatever held the joints begins anew, from where they are found
+            if self._locomotion in self._step_sources:
+                self._end_stepping(self.fsm.locomotion)
+            self._locomotion = None
+
+    def _find_again(self, gap: Gap, state: RobotState) -> None:
+        """The robot has lived without us for a while; its devices have held its joints.
+
+        One that stood, and still stands on both feet, goes on being held: to let go would fell it. One that was
+        stepping, or that does not stand any more, is let go, and so is one that is not known.
+        """
+        _log.warning("%s", gap.reason)
+        lost = "" if gap.same_world else "it is not known"
+        lost = lost or ("it was stepping" if self._controller.stepping else "")
+        lost = lost or self._not_upright(state) or self._not_loaded(state)
+        if lost:
+            self._fall(f"{gap.reason}; {lost}" if gap.same_world else gap.reason)
+        elif self.fsm.locomotion in BALANCING:
+            reason = f"{gap.reason}; it stands, and is held"
+            if not self.fsm.may_go(Behavior.FREEZE):  # from Step and Walk by way of Soft Stop
+                self.fsm.go(Behavior.SOFT_STOP, reason)
+            self.fsm.go(Behavior.FREEZE, reason)
 
     def _watch(self, state: RobotState) -> None:
         """Fall, when balance is lost."""

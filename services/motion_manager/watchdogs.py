@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from valor_common.messages import Proprioceptor
 
@@ -13,6 +14,14 @@ _VECTORS = (
     ("imu_orientation", 4), ("imu_angular_velocity", 3), ("imu_linear_acceleration", 3),
     ("left_foot_wrench", 6), ("right_foot_wrench", 6), ("left_hand_wrench", 6), ("right_hand_wrench", 6),
 )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """What lies between two Proprioceptors."""
+
+    reason: str
+    same_world: bool  # it is the robot that we have been controlling, and its time has gone on
 
 
 class ProprioceptorWatchdog:
@@ -59,19 +68,21 @@ class ProprioceptorWatchdog:
         """Whether this is the one before once more: a simulation that waits for its first Motor says it again."""
         return proprioceptor.sequence == self._sequence and proprioceptor.time == self._time
 
-    def discontinuity(self, proprioceptor: Proprioceptor) -> str:
-        """What lies between this Proprioceptor and the one before; an empty text: nothing, or there was none."""
+    def discontinuity(self, proprioceptor: Proprioceptor) -> Gap | None:
+        """What lies between this Proprioceptor and the one before; None: nothing, or there was none."""
         time, sequence = self._time, self._sequence
         self._time, self._sequence = proprioceptor.time, proprioceptor.sequence
         if time is None:
-            return ""
+            return None
         if proprioceptor.sequence <= sequence or proprioceptor.time <= time:
-            return (
+            return Gap(
                 f"another world: Proprioceptor went from {time * 1e-9:.3f} s, number {sequence}, "
-                f"to {proprioceptor.time * 1e-9:.3f} s, number {proprioceptor.sequence}"
+                f"to {proprioceptor.time * 1e-9:.3f} s, number {proprioceptor.sequence}",
+                same_world=False,
             )
         self.missed += proprioceptor.sequence - sequence - 1
         gap = (proprioceptor.time - time) * 1e-9
         if gap > LONGEST_GAP:
-            return f"no Proprioceptor for {gap:.3f} s of robot time; expected at most {LONGEST_GAP} s"
-        return ""
+            reason = f"no Proprioceptor for {gap:.3f} s of robot time; expected at most {LONGEST_GAP} s"
+            return Gap(reason, same_world=True)
+        return None

@@ -15,7 +15,7 @@ from motion_manager.behaviors import Behavior
 from motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
 from motion_manager.whole_body import QpStatus, WholeBodyCommand
 from tests.conftest import ROBOTS
-from valor_common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor
+from valor_common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
 from valor_common.model import controller_model
 from valor_common.robot import FloatVector, RobotDescription
 
@@ -250,13 +250,54 @@ def test_a_world_begun_anew_is_a_fall(standing: Robot) -> None:
     assert not motor.effort.any()
 
 
-def test_robot_time_without_us_is_a_fall(standing: Robot) -> None:
+def test_a_robot_that_stood_without_us_for_a_while_is_held(standing: Robot) -> None:
     standing.tick(elapsed=40 * PERIOD)
     assert standing.behavior is Behavior.STAND
     assert standing.manager.missed == 39
+    effort = np.where(np.arange(N) < 27, 0.1 * LIMIT, 0.0)
+    motor = standing.tick(elapsed=60 * PERIOD, joint_effort=effort)
+    assert standing.behavior is Behavior.FREEZE
+    assert "no Proprioceptor for 0.120 s of robot time" in standing.manager.fsm.reason
+    assert np.allclose(motor.position, ROBOT.nominal_posture) and np.allclose(standing.torque(), effort)
+    standing.run(0.1)
+    assert not standing.ask(Behavior.STAND_PREP)
+    standing.run(1.0)
+    assert not standing.ask(Behavior.STAND), "the way back"
+
+
+def test_a_robot_that_walks_on_the_spot_is_held_too(standing: Robot) -> None:
+    assert not standing.ask(Behavior.WALK)
+    standing.run(0.1)
+    standing.tick(elapsed=60 * PERIOD)
+    assert standing.behavior is Behavior.FREEZE
+
+
+@pytest.mark.parametrize(
+    ("found", "why"),
+    [
+        ({"imu_orientation": tilted(0.5)}, "the pelvis is tilted"),
+        ({"left_foot_wrench": np.zeros(6), "right_foot_wrench": np.zeros(6)}, "foot carries 0 N"),
+    ],
+)
+def test_a_robot_that_is_found_lying_is_let_go(standing: Robot, found: dict[str, object], why: str) -> None:
+    motor = standing.tick(elapsed=60 * PERIOD, **found)
+    assert standing.behavior is Behavior.FALL
+    assert why in standing.manager.fsm.reason
+    assert not motor.effort.any()
+
+
+def test_a_robot_that_was_stepping_without_us_is_let_go(standing: Robot) -> None:
+    assert not standing.ask(Behavior.WALK)
+    standing.manager.velocity_handler.handle(
+        Received(VelocityCommand(standing.time, 0.2, 0.0, 0.0), 0, 1, "valor_ros_controller"), standing.time
+    )
+    for _ in range(1000):
+        standing.tick()
+        if standing.manager.conditions().stepping:
+            break
     standing.tick(elapsed=60 * PERIOD)
     assert standing.behavior is Behavior.FALL
-    assert "no Proprioceptor for 0.120 s of robot time" in standing.manager.fsm.reason
+    assert "it was stepping" in standing.manager.fsm.reason
 
 
 def test_in_stand_prep_a_new_world_begins_stand_prep_anew(robot: Robot) -> None:
