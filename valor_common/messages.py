@@ -73,7 +73,7 @@ class DeviceStatus(Message):
 
     time: int
     units: list[str]  # device/unit: legs/1, neck/neck_yaw, imu
-    states: list[str]  # ok, silent, faulty, unplugged, disabled
+    states: list[str]  # ok, silent, faulty, unplugged, disabled; overdue, unread: the computer is late, not the unit
     details: list[str]  # what is wrong, for people; empty where nothing is
     rate: Float64Array  # states received, over the last second [Hz]
     latency: Float64Array  # from a command or request to the state that answers it, mean over the last second [s]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 import time
@@ -207,6 +208,21 @@ def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:
     status = standing.status
     wait_until(lambda: standing.status is not status, PATIENCE, "another word")
     assert standing.unit("legs/7")[0] == "faulty"
+
+
+def test_a_start_without_what_balance_needs_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
+    other = tmp_path / "escher"
+    shutil.copytree(ROBOTS / "escher", other)
+    table = (other / "robot.yaml").read_text()
+    imu = table[table.index("  imu:\n    kind: microstrain_mip") : table.index("  neck:\n    kind: dynamixel_2")]
+    sensor = re.search(r" +- \{ id: 2, at: right_foot.*\n", table)
+    assert sensor is not None
+    (other / "robot.yaml").write_text(table.replace(imu, "").replace(sensor.group(), ""))
+    instance.configure(variant="hardware", control_rate=250.0, robot=other)
+    process = instance.start("comms_manager")
+    assert process.wait(PATIENCE) == EXIT_CONFIGURATION
+    said = instance.log("comms_manager").splitlines()[-1]
+    assert "devices: 0 IMUs; expected one, for the pelvis' attitude; no force/torque sensor at right_foot" in said
 
 
 def test_a_start_with_another_device_is_refused(instance: RunningInstance, tmp_path: Path) -> None:

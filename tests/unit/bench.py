@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +20,9 @@ from tests.conftest import wait_until
 from valor_common.instance import Instance, Settings
 from valor_common.robot import RobotDescription
 
+_DOMAIN = 170 + os.getpid() % 60
+"""Of the CAN buses: benches of several processes do not meet, nor instances that have their domains from below 102."""
+
 
 class Bench:
     """The emulator's side runs as long as the bench; the driver's side is the test's to start."""
@@ -26,7 +30,7 @@ class Bench:
     def __init__(self, robot: RobotDescription, device: str, home: Path) -> None:
         self.instance = Instance("bench", home)
         self.instance.ports.mkdir(parents=True)
-        self.settings = Settings(robot=robot.folder, ros_domain_id=1, variant="hardware", actuators="ideal")
+        self.settings = Settings(robot=robot.folder, ros_domain_id=_DOMAIN, variant="hardware", actuators="ideal")
         self.description = robot
         self.device = device
         self.robot = SimulatedRobot(robot, self.settings)
@@ -35,6 +39,22 @@ class Bench:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
+
+    def pause(self) -> None:
+        """The emulator's side runs no more by itself: whoever steps the emulator says what time it is."""
+        self._stop.set()
+        self._thread.join()
+
+    @contextmanager
+    def serving(self) -> Iterator[None]:
+        """It does, for a while."""
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+        try:
+            yield
+        finally:
+            self.pause()
 
     def _serve(self) -> None:
         while not self._stop.wait(0.001):

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comms_manager.hardware.can_device import _level
+from comms_manager.hardware.condition import level as _level
 from comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
-from comms_manager.hardware.faults import REACTIONS, DeviceWatch, Reaction
+from comms_manager.hardware.faults import LOOKS_TO_SILENCE, REACTIONS, UNREAD_AFTER, DeviceWatch, Reaction
 from motion_manager.behavior_fsm import BehaviorFsm
 from motion_manager.behaviors import BEHAVIOR_TRANSITIONS, Behavior
 from motion_manager.device_reactions import DEMANDS, DeviceReactions
@@ -48,13 +48,17 @@ class Bench:
         self.watch = DeviceWatch([self.legs])
         self.now = 10_000_000_000
 
-    def run(self, seconds: float, mute: tuple[str, ...] = (), every: int = 1) -> int:
-        """Let time pass; ``every``: so many periods, the first unit speaks. Returns how often a report was due."""
+    def run(self, seconds: float, mute: tuple[str, ...] = (), every: int = 1, deaf: bool = False) -> int:
+        """Let time pass; returns how often a report was due.
+
+        ``every``: so many periods, the first unit speaks. ``deaf``: nobody listens, to whatever it says.
+        """
         reports = 0
         for k in range(round(seconds * 1e9) // PERIOD):
             self.now += PERIOD
+            self.legs.looks += not deaf
             for record in self.legs.records:
-                if record.unit not in mute and (record.unit != "1" or k % every == 0):
+                if not deaf and record.unit not in mute and (record.unit != "1" or k % every == 0):
                     record.received(self.now)
             reports += self.watch.update(self.now)
         return reports
@@ -85,6 +89,50 @@ def test_a_unit_is_silent_after_its_time_and_no_longer_when_it_speaks() -> None:
     bench.run(0.02)
     assert not bench.watch.troubles
     assert bench.watch.report(bench.now).reason == ""
+
+
+def test_a_computer_that_does_not_listen_is_no_silent_unit() -> None:
+    bench = Bench()
+    bench.run(1.0)
+    bench.run(UNREAD_AFTER - 0.01, deaf=True)
+    assert {(each.fault, each.reaction) for each in bench.watch.troubles} == {(Fault.OVERDUE, Reaction.KEEP_BALANCE)}
+    report = bench.watch.report(bench.now)
+    assert report.states == ["overdue"] * 3 and "the computer has not read it" in report.reason
+    bench.run(0.004)
+    assert not bench.watch.troubles, "what had come meanwhile is read"
+
+
+def test_a_computer_that_does_not_listen_for_long_has_the_joints_held() -> None:
+    bench = Bench()
+    bench.run(1.0)
+    bench.run(UNREAD_AFTER + 0.01, deaf=True)
+    assert {(each.fault, each.reaction) for each in bench.watch.troubles} == {(Fault.UNREAD, Reaction.HOLD)}
+    assert bench.watch.report(bench.now).states == ["unread"] * 3
+
+
+def test_a_unit_is_silent_only_if_it_was_listened_to_in_vain() -> None:
+    bench = Bench()
+    bench.run(1.0)
+    bench.run(UNREAD_AFTER, deaf=True)
+    bench.run(0.004 * (LOOKS_TO_SILENCE - 1), mute=("2",))
+    assert not bench.watch.troubles, "it may not have had its turn either"
+    bench.run(0.004, mute=("2",))
+    (trouble,) = bench.watch.troubles
+    assert (trouble.unit, trouble.fault) == ("legs/2", Fault.SILENT)
+
+
+@given(st.lists(st.sampled_from(["speaks", "mute", "deaf"]), min_size=1, max_size=120))
+def test_what_was_not_listened_to_is_held_against_nobody(periods: list[str]) -> None:
+    """Only a unit that was listened to in vain is silent; and one that was, for long enough, is."""
+    bench = Bench()
+    bench.run(0.1)
+    mute = 0
+    for period in periods:
+        bench.run(0.004, mute=("2",) if period == "mute" else (), deaf=period == "deaf")
+        mute = mute + 1 if period == "mute" else 0 if period == "speaks" else mute
+        told = {each.unit for each in bench.watch.troubles if each.fault is Fault.SILENT}
+        assert told <= {"legs/2"} and (mute >= LOOKS_TO_SILENCE or not told)
+        assert mute * 0.004 <= bench.legs.silent_after or told
 
 
 def test_a_slow_unit_brings_the_robot_to_rest() -> None:

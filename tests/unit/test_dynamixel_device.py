@@ -100,7 +100,7 @@ def test_the_lidar_spins_at_the_speed_of_the_table(bench: Bench) -> None:
     ("row", "servo", "message"),
     [
         (YAW, {"id": 9}, "neck/neck_yaw: servo 9: no answer to a ping; expected a XM540-W270"),
-        (PITCH, {"model": "MX-64"}, r"neck/neck_pitch: model XM540-W270; expected MX-64 \(robot.yaml\)"),
+        (PITCH, {"model": "MX-64"}, r"neck/neck_pitch: model 'XM540-W270'; expected 'MX-64' \(robot.yaml\)"),
         (LIDAR, {"firmware": 45}, r"neck/lidar_roll: firmware 46; expected 45 \(robot.yaml\)"),
         (YAW, {"zero": 2048}, r"neck/neck_yaw: at 0.035 rad; expected 0.000 ± 0.02 .*zero 2048"),
     ],

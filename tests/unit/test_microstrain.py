@@ -147,3 +147,17 @@ def test_an_unplugged_sensor_is_told_of_and_found_again(bench: Bench) -> None:
         assert "gone" in ailing(driver, "imu", Fault.UNPLUGGED).detail
         bench.heal()
         sound(driver)
+
+
+def test_what_lay_here_unread_is_not_the_sensors_delay(bench: Bench) -> None:
+    """A computer that does not come to read for a while finds all packets there, the newest of them fresh."""
+    driver = bench.driver()
+    driver.find()
+    record, looks = driver.records[0], driver.looks
+    before, errors = record.states, record.errors
+    time.sleep(0.15)  # the thread does not get its turn
+    driver._listen(0.1)  # type: ignore[attr-defined]
+    assert record.states >= before + 5 and record.errors == errors
+    assert driver.looks == looks + 1
+    assert time.monotonic_ns() - record.stamp < 1e8
+    driver.close()

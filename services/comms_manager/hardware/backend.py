@@ -14,6 +14,7 @@ import math
 import sys
 import threading
 import time
+from collections import Counter
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from comms_manager.backend import Backend
 from comms_manager.commands import Commands
 from comms_manager.hardware.can_device import GATHERING, CanDevice
 from comms_manager.hardware.device import (
+    Ailment,
     Device,
     DeviceContext,
     DeviceError,
+    Fault,
     ImuMeasurement,
     JointCommands,
     JointMeasurement,
@@ -32,6 +35,7 @@ from comms_manager.hardware.device import (
 from comms_manager.hardware.faults import DeviceWatch
 from comms_manager.hardware.force_torque import ForceTorque
 from comms_manager.hardware.kinds import make
+from comms_manager.hardware.microstrain import MicroStrain
 from comms_manager.hardware.series_elastic import SeriesElastic
 from valor_common.errors import ConfigurationError
 from valor_common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
@@ -40,6 +44,7 @@ from valor_common.robot import FloatVector
 from valor_common.service import Context
 from valor_common.topics import DEVICES
 
+FEET = ("left_foot", "right_foot")  # where the forces must be known
 SHORTEST = 0.25  # of a period: so much may lack of one
 LONGEST_WAIT = 1.0  # for the leg controllers' clocks [s]
 NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit says otherwise [V]
@@ -64,7 +69,7 @@ class Hardware(Backend):
         try:
             for name in robot.tables.devices:
                 self._devices.append(make(name, device_context))
-            self._require_all_joints()
+            self._require_complete()
             self._start()
         except DeviceError as error:
             self.close()
@@ -88,12 +93,23 @@ class Hardware(Backend):
         self._wrenches = {place: np.zeros(6) for place in ("left_foot", "right_foot", "left_hand", "right_hand")}
         self._voltage = NOMINAL_VOLTAGE
 
-    def _require_all_joints(self) -> None:
-        """Raise ``ConfigurationError`` unless each joint is moved by a device."""
-        robot = self._robot
-        moved = {joint for name in robot.tables.devices for joint in robot.tables.device_joints(name)}
-        if missing := [joint for joint in robot.joints if joint not in moved]:
-            raise ConfigurationError(f"{robot.folder / 'robot.yaml'}: devices: none moves {', '.join(missing)}")
+    def _require_complete(self) -> None:
+        """Raise ``ConfigurationError`` unless devices move each joint once, and feel what balance is kept by."""
+        robot, tables = self._robot, self._robot.tables
+        moved = Counter(joint for name in tables.devices for joint in tables.device_joints(name))
+        sensors = [device for device in self._devices if isinstance(device, ForceTorque)]
+        felt = Counter[str](place for sensor in sensors for place in sensor.places)
+        lacking = []
+        if missing := [joint for joint in robot.joints if not moved[joint]]:
+            lacking.append(f"none moves {', '.join(missing)}")
+        if (imus := sum(isinstance(device, MicroStrain) for device in self._devices)) != 1:
+            lacking.append(f"{imus} IMUs; expected one, for the pelvis' attitude")
+        if missing := [place for place in FEET if not felt[place]]:
+            lacking.append(f"no force/torque sensor at {', '.join(missing)}; expected one in each foot")
+        if twice := [what for what, count in (moved + felt).items() if count > 1]:
+            lacking.append(f"{', '.join(twice)}: in more than one device")
+        if lacking:
+            raise ConfigurationError(f"{robot.folder / 'robot.yaml'}: devices: {'; '.join(lacking)}")
 
     def _start(self) -> None:
         for device in self._devices:
@@ -123,12 +139,14 @@ class Hardware(Backend):
             device.gathered.wait(2.0 * GATHERING)
 
     def _run(self, device: Device) -> None:
-        """A device's thread; one that ends too early is seen as silence, and told here."""
+        """A device's thread; one that ends too early is told of here, for all of its units."""
         Wall()  # the thread wakes on time
         try:
             device.run(self._stopping)
-        except Exception:
+        except Exception as error:
             _log.exception("%s: its thread ended", device.name)
+            text = f"nobody speaks to it: {type(error).__name__}, see the log; the Comms Manager is to be restarted"
+            device.tell([Ailment(record.unit, Fault.FAULTY, text) for record in device.records])
 
     @property
     def clock(self) -> str:

@@ -6,6 +6,7 @@ over when all units that were heard lately have answered, or when the time for t
 
 from __future__ import annotations
 
+import contextlib
 import select
 import threading
 import time
@@ -14,33 +15,36 @@ from collections.abc import Mapping
 
 import can
 
+from comms_manager.hardware.condition import Condition, Limits, require_identity
 from comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault, UnitRecord
 from valor_common.devices import can_frames
 from valor_common.devices.can_frames import Code, Identity, Reply
 from valor_common.devices.end_to_end import is_sound
 from valor_common.devices.ports import open_can
+from valor_common.devices.table import SupplyLimits
+from valor_common.errors import ConfigurationError
 
 GATHERING = 0.0015  # from SYNC until states are handed over, whoever has not answered [s]
 ABSENT_AFTER = 10  # SYNCs without an answer, after which nobody waits for a unit any more
 ANSWER_TIME = 0.1  # of a request [s]
 TRIES = 20  # of a request, at start
 TEND_EVERY = 0.1  # units that are not as they should be are asked [s]
+REOPEN_EVERY = 0.5  # a bus that fails is opened anew [s]
 _IDLE = 0.02  # longest sleep of the thread [s]
+_STRANGE = 64  # frames in a row that are none, after which it is the bus that fails
 
 
 class CanUnit:
     """A unit as its device knows it."""
 
-    def __init__(self, number: int, identity: Identity, device: str) -> None:
+    def __init__(self, number: int, identity: Identity, device: str, supply: SupplyLimits) -> None:
         self.number = number
         self.identity = identity  # that it must have
         self.name = f"{device}/{number}"
         self.record = UnitRecord(str(number))
         self.missed = ABSENT_AFTER  # SYNCs in a row without an answer
-        self.warmth = 0  # 0, 1 warm, 2 hot
-        self.weakness = 0  # 0, 1 low voltage, 2 flat
-        self.others: tuple[Ailment, ...] = ()  # besides these two
-        self.ailments: tuple[Ailment, ...] = ()
+        self.condition = Condition(self.record, Limits(supply.warm, supply.hot, supply.low, supply.flat))
+        self.ailments: tuple[tuple[Ailment, ...], tuple[Ailment, ...]] = ((), ())  # of its condition, and others
 
 
 class CanDevice(Device):
@@ -67,6 +71,8 @@ class CanDevice(Device):
         self._awaited: set[int] = set()  # of those, who is waited for
         self._replies: dict[int, Reply] = {}
         self._tended = 0.0
+        self._failure = ""  # of the bus itself, now
+        self._reopened = 0.0
         self._now: int | None = None  # ``elapsed`` as of this SYNC, if a unit has said [ns]
         self.elapsed = 0
 
@@ -119,45 +125,72 @@ class CanDevice(Device):
         )
 
     def _check_identity(self, unit: CanUnit, reply: Reply) -> None:
-        if reply.identity.serial != unit.identity.serial:
-            raise DeviceError(
-                f"{unit.name}: serial number {reply.identity.serial!r}; expected {unit.identity.serial!r} (robot.yaml)"
-            )
-        if reply.identity.firmware != unit.identity.firmware:
-            raise DeviceError(
-                f"{unit.name}: firmware {reply.identity.firmware!r}; expected {unit.identity.firmware!r} (robot.yaml)"
-            )
+        require_identity(unit.name, _words(reply.identity), _words(unit.identity))
 
     # --- the thread -----------------------------------------------------------------------------------------------
 
     def run(self, stopping: threading.Event) -> None:
         """Exchange frames until told to stop."""
+        while not stopping.is_set():
+            self._turn()
+
+    def _turn(self) -> None:
+        """Wait for what comes, and do what it asks for."""
         assert self._bus is not None
         port, woken = self._bus.fileno(), self.woken
-        while not stopping.is_set():
-            timeout = _IDLE
-            if not self.gathered.is_set() and self._missing:
-                timeout = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
+        timeout = _IDLE
+        if not self.gathered.is_set() and self._missing:
+            timeout = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
+        try:
             ready, _, _ = select.select((port, woken), (), (), timeout)
-            try:
-                if woken in ready:
-                    self.drain_wake()
-                    if self._states_wanted:
-                        self._states_wanted = False
-                        self._sync()
-                    self._send_command()
-                if port in ready:
-                    self._listen(0.0)
-                if not self.gathered.is_set() and not self._states_wanted and self._is_over():
-                    self._finish()
-                    self.gathered.set()
-                now = time.monotonic()
-                if now - self._tended > TEND_EVERY:
-                    self._tended = now
-                    self._tend()
-            except can.CanError as error:  # the bus itself fails: units fall silent, and that is told
-                self.tell([Ailment(self.records[0].unit, Fault.UNPLUGGED, f"CAN bus {self._number}: {error}")])
-                stopping.wait(_IDLE)
+            if port in ready:  # first, as it may answer the last SYNC
+                self._listen(0.0)
+            if woken in ready:
+                self.drain_wake()
+                if self._states_wanted:
+                    self._states_wanted = False
+                    self._sync()
+                self._send_command()
+            if not self.gathered.is_set() and not self._states_wanted and self._is_over():
+                self._finish()
+                self.gathered.set()
+                self.looks += 1
+                if self._failure:
+                    self._tell_failure("")
+            now = time.monotonic()
+            if now - self._tended > TEND_EVERY:
+                self._tended = now
+                self._tend()
+        except (can.CanError, OSError) as error:  # the bus itself fails: no unit on it can be reached
+            self._tell_failure(f"CAN bus {self._number}: {error}")
+            time.sleep(_IDLE)
+            self._reopen()
+
+    def _tell_failure(self, failure: str) -> None:
+        """Tell of the bus what is wrong with it, for every unit on it; empty: nothing any more."""
+        self._failure = failure
+        self._tell_ailments()
+
+    def _tell_ailments(self) -> None:
+        failing = [Ailment(each.unit, Fault.UNPLUGGED, self._failure) for each in self.records if self._failure]
+        units = [ailment for each in self.units.values() for part in each.ailments for ailment in part]
+        self.tell([*failing, *units])
+
+    def _reopen(self) -> None:
+        """Open the bus anew, as an adapter that was plugged in again needs it; the old one is kept until that is done.
+
+        The units on it had their power from elsewhere: those that lost it say so.
+        """
+        now = time.monotonic()
+        if now - self._reopened < REOPEN_EVERY:
+            return
+        self._reopened = now
+        assert self._bus is not None
+        with contextlib.suppress(ConfigurationError):  # not yet
+            bus = open_can(self.context.settings, self._number)
+            with contextlib.suppress(can.CanError, OSError):
+                self._bus.shutdown()
+            self._bus = bus
 
     def _is_over(self) -> bool:
         return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
@@ -182,11 +215,15 @@ class CanDevice(Device):
     def _listen(self, timeout: float) -> None:
         """Take in what is on the bus; wait for the first frame."""
         assert self._bus is not None
+        strange = 0
         while True:
             try:
                 message = self._bus.recv(timeout)
-            except can.CanOperationError:
-                continue  # no CAN frame: on multicast anybody may speak
+            except can.CanOperationError:  # no CAN frame: on multicast anybody may speak
+                strange += 1
+                if strange > _STRANGE:
+                    raise
+                continue
             if message is None:
                 return
             timeout = 0.0
@@ -215,27 +252,12 @@ class CanDevice(Device):
         unit.record.received(stamp)
         unit.record.answered(1e-9 * (stamp - self._synced))
 
-    def _judge(self, unit: CanUnit, temperature: float, voltage: float | None, others: tuple[Ailment, ...]) -> None:
-        """Write down how a unit fares, and tell it when that has changed; ``others``: what else ails it."""
-        record, supply = unit.record, self.context.robot.tables.supply
-        record.temperature = temperature
-        warmth = _level(temperature, (supply.warm, supply.hot), unit.warmth, 3.0)
-        weakness = 0
-        if voltage is not None:
-            record.voltage = voltage
-            weakness = _level(-voltage, (-supply.low, -supply.flat), unit.weakness, 1.0)
-        if warmth == unit.warmth and weakness == unit.weakness and others == unit.others:
-            return
-        unit.warmth, unit.weakness, unit.others = warmth, weakness, others
-        ailments = list(others)
-        if warmth:
-            fault, limit = ((Fault.WARM, supply.warm), (Fault.HOT, supply.hot))[warmth - 1]
-            ailments.append(Ailment(record.unit, fault, f"{temperature:.0f} °C; expected less than {limit:g} °C"))
-        if weakness:
-            fault, limit = ((Fault.LOW_VOLTAGE, supply.low), (Fault.FLAT, supply.flat))[weakness - 1]
-            ailments.append(Ailment(record.unit, fault, f"{voltage:.1f} V; expected more than {limit:g} V"))
-        unit.ailments = tuple(ailments)
-        self.tell([ailment for each in self.units.values() for ailment in each.ailments])
+    def _judge(self, unit: CanUnit, temperature: float, voltage: float, others: tuple[Ailment, ...]) -> None:
+        """Write down how a unit fares [°C, V], and tell it when that has changed; ``others``: what else ails it."""
+        condition = unit.condition.judge(temperature, voltage)
+        if condition is not unit.ailments[0] or others != unit.ailments[1]:
+            unit.ailments = (condition, others)
+            self._tell_ailments()
 
     @abstractmethod
     def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
@@ -252,12 +274,8 @@ class CanDevice(Device):
         """Look after units that are not as they should be; ten times a second."""
 
 
-def _level(value: float, limits: tuple[float, float], before: int, hysteresis: float) -> int:
-    """How many of the ascending limits a value reaches; it must fall below one by the hysteresis to count less."""
-    level = 2 if value >= limits[1] else 1 if value >= limits[0] else 0
-    if level < before and value > limits[before - 1] - hysteresis:
-        return before
-    return level
+def _words(identity: Identity) -> dict[str, object]:
+    return {"serial number": identity.serial, "firmware": identity.firmware}
 
 
 def _described(identity: Identity) -> str:

@@ -58,6 +58,8 @@ class Fault(StrEnum):
     FLAT = "flat"  # so little voltage that motors are about to switch themselves off
     UNPLUGGED = "unplugged"  # the port is gone, or the unit has lost its power: it must be found again
     DISABLED = "disabled"  # its motors are off, though they were switched on
+    OVERDUE = "overdue"  # the computer has not read it for a moment: its fault, not the unit's
+    UNREAD = "unread"  # likewise, for too long
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +160,8 @@ class Device(ABC):
         ailments: what is wrong now, besides silence. Replaced, never changed; the same object while nothing changes.
         rate: at which states of each unit should come [Hz].
         silent_after: without a state for so long, a unit is silent [s].
+        looks: how often its thread has had everything that its port had brought. Silence is a unit's fault only as far
+            as somebody listened.
     """
 
     silent_after: float = 0.1
@@ -173,6 +177,7 @@ class Device(ABC):
         self.measured: JointMeasurement | ImuMeasurement | WrenchMeasurement | None = None
         self.ailments: tuple[Ailment, ...] = ()
         self.command: JointCommands | None = None
+        self.looks = 0
         self.rate = robot.tables.control_rate
         self.woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         """Readable when there is something new to do: for ``select`` beside the port."""

@@ -15,6 +15,7 @@ from threading import Event
 import numpy as np
 import serial
 
+from comms_manager.hardware.condition import Condition, Limits, require_identity
 from comms_manager.hardware.device import (
     Ailment,
     Device,
@@ -28,6 +29,7 @@ from comms_manager.hardware.device import (
 )
 from comms_manager.hardware.device_clock import DeviceClock
 from comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, StatusReader, number_of
+from comms_manager.hardware.encoder_watch import EncoderWatch
 from valor_common.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
 from valor_common.devices.ports import serial_port
 from valor_common.devices.table import Dynamixel, DynamixelServo
@@ -36,9 +38,6 @@ from valor_common.robot import RobotDescription
 
 LATEST = 0.02  # an answer that was held up longer is not used [s]
 TICKS = 32768  # of a servo's clock, in milliseconds, until it begins anew
-LEAP_SPEED, LEAP_MARGIN = 1.2, 0.05  # a position moves by at most so many times the velocity limit, and so far [rad]
-LONGEST_PAUSE = 0.06  # between answers, that such a movement is reckoned with [s]
-DOUBTS_TO_FAULT = 3  # answers after a leap, after which it is the encoder
 ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
 SEEK_PERIOD = 0.5  # between attempts to find a servo or a port that is gone [s]
 COOL = 10  # below its limit, at which a servo that was too hot is used again [K]
@@ -65,10 +64,10 @@ class _Servo:
         self.alert = False  # it says that something is wrong with it
         self.missed = 0  # cycles in a row
         self.present = True  # it is read in every cycle
-        self.raw = math.nan  # what its encoder says, believed or not [rad]
-        self.heard = 0  # when it said so, monotonic [ns]
-        self.doubts = 0  # answers since its encoder leapt
-        self.jumped = False  # for good
+        self.encoder = EncoderWatch(self.velocity_limit)
+        model = self.model
+        hot, low = float(model.temperature_limit), LOW_VOLTAGE * model.voltage
+        self.condition = Condition(self.record, Limits(hot - WARM, hot, low, more=0.02 * model.voltage))
         self.ailments: tuple[Ailment, ...] = ()
 
     @property
@@ -176,9 +175,8 @@ class DynamixelServos(Device):
         number, firmware = self._port.ping(servo.table.id)
         if number != servo.model.number:
             known = next((name for name, model in MODELS.items() if model.number == number), f"number {number}")
-            raise DeviceError(f"{servo.name}: model {known}; expected {servo.table.model} (robot.yaml)")
-        if firmware != servo.table.firmware:
-            raise DeviceError(f"{servo.name}: firmware {firmware}; expected {servo.table.firmware} (robot.yaml)")
+            require_identity(servo.name, {"model": known}, {"model": servo.table.model})
+        require_identity(servo.name, {"firmware": firmware}, {"firmware": servo.table.firmware})
 
     def _prepare(self, servo: _Servo) -> None:
         """See that nothing is wrong with a servo, and that it is in the mode that it is used in."""
@@ -226,6 +224,7 @@ class DynamixelServos(Device):
             due = max(due + self._period, now)
             try:
                 if self._port is None:
+                    self.looks += 1
                     if now - sought > SEEK_PERIOD:
                         sought = now
                         self._find_port()
@@ -263,6 +262,7 @@ class DynamixelServos(Device):
         self.measured = JointMeasurement(
             self._stamp.copy(), self._position.copy(), self._velocity.copy(), self._effort.copy()
         )
+        self.looks += 1
 
     def _blame(self, reader: StatusReader) -> None:
         """Frames that could not be read are those of whoever is missing."""
@@ -290,19 +290,18 @@ class DynamixelServos(Device):
             return False
         model, direction, row = servo.model, servo.table.direction, servo.row
         position = servo.angle(number(registers.present_position))
-        if not self._is_plausible(servo, position, came):
+        velocity = direction * number(registers.present_velocity) * model.velocity_unit
+        if servo.table.spin is None and not servo.encoder.believes(position, velocity, 1e-3 * servo.ticks):
             return False
-        if servo.jumped:
+        if servo.encoder.jumped:
             self._velocity[row] = 0.0
         else:
-            self._position[row] = position
-            self._velocity[row] = direction * number(registers.present_velocity) * model.velocity_unit
+            self._position[row], self._velocity[row] = position, velocity
         current = number(registers.present_current) * model.current_unit
         self._effort[row] = direction * current * model.torque_constant
         self._stamp[row] = came
-        servo.record.temperature = float(number(registers.present_temperature))
-        servo.record.voltage = 0.1 * number(registers.present_voltage)
-        self._judge(servo, answer)
+        temperature, voltage = float(number(registers.present_temperature)), 0.1 * number(registers.present_voltage)
+        self._judge(servo, answer, servo.condition.judge(temperature, voltage))
         return True
 
     @staticmethod
@@ -317,46 +316,17 @@ class DynamixelServos(Device):
         late = servo.clock.lateness(1e-3 * servo.ticks, came)
         return late is not None and late < LATEST
 
-    @staticmethod
-    def _is_plausible(servo: _Servo, position: float, came: int) -> bool:
-        """Whether a joint can have come there since the last answer.
-
-        After a leap nothing is believed until it leaps back; a few answers later it is the encoder.
-        """
-        before, servo.raw = servo.raw, position
-        elapsed, servo.heard = 1e-9 * (came - servo.heard), came
-        if servo.table.spin is not None or math.isnan(before):
-            return True
-        reach = LEAP_SPEED * servo.velocity_limit * min(LONGEST_PAUSE, elapsed) + LEAP_MARGIN
-        if abs(position - before) > reach:
-            servo.doubts = 0 if servo.doubts else 1
-        elif servo.doubts:
-            servo.doubts += 1
-        servo.jumped |= servo.doubts >= DOUBTS_TO_FAULT
-        return servo.jumped or not servo.doubts
-
-    def _judge(self, servo: _Servo, answer: Answer) -> None:
-        """Write down what ails a servo."""
-        unit, model, record = servo.record.unit, servo.model, servo.record
-        ailments = []
-        if servo.jumped:
+    def _judge(self, servo: _Servo, answer: Answer, condition: tuple[Ailment, ...]) -> None:
+        """Write down what ails a servo, besides its condition."""
+        unit, ailments = servo.record.unit, list(condition)
+        if servo.encoder.jumped:
             ailments.append(Ailment(unit, Fault.ENCODER, "its encoder jumped; to be calibrated, then restarted"))
-        if record.temperature >= model.temperature_limit:
-            limit = f"expected less than {model.temperature_limit} °C"
-            ailments.append(Ailment(unit, Fault.HOT, f"{record.temperature:.0f} °C; {limit}"))
-        elif record.temperature >= model.temperature_limit - WARM:
-            limit = f"expected less than {model.temperature_limit - WARM} °C"
-            ailments.append(Ailment(unit, Fault.WARM, f"{record.temperature:.0f} °C; {limit}"))
-        if record.voltage < LOW_VOLTAGE * model.voltage:
-            limit = f"expected more than {LOW_VOLTAGE * model.voltage:g} V"
-            ailments.append(Ailment(unit, Fault.LOW_VOLTAGE, f"{record.voltage:.1f} V; {limit}"))
         if answer.alert and not ailments:
             ailments.append(Ailment(unit, Fault.FAULTY, "it reports a hardware error"))
         servo.alert = answer.alert
         if self._enabled and not servo.torque and self._is_wanted(servo):
             ailments.append(Ailment(unit, Fault.DISABLED, "its motor is off"))
-        if [(each.fault, each.unit) for each in ailments] != [(each.fault, each.unit) for each in servo.ailments]:
-            servo.ailments = tuple(ailments)
+        servo.ailments = tuple(ailments)
 
     def _write(self) -> None:
         """Send the newest set-points to all servos that obey."""
@@ -379,8 +349,8 @@ class DynamixelServos(Device):
 
     def _next_goal(self, servo: _Servo, command: JointCommands) -> float:
         """The set-point, approached at the joint's velocity limit; where its encoder is, once that has jumped [rad]."""
-        if servo.jumped:
-            return servo.raw
+        if servo.encoder.jumped:
+            return servo.encoder.position
         wanted = float(command.position[servo.row])
         last = float(self._position[servo.row]) if servo.goal is None else servo.goal
         reach = servo.velocity_limit * self._period
@@ -401,7 +371,7 @@ class DynamixelServos(Device):
                     self._welcome(servo)
                 if servo.alert:  # what is wrong may have switched it off
                     servo.torque = self._is_on(servo)
-                if self._enabled and not servo.torque and not servo.jumped and self._is_wanted(servo):
+                if self._enabled and not servo.torque and not servo.encoder.jumped and self._is_wanted(servo):
                     self._revive(servo)
             except (DynamixelError, DeviceError) as error:
                 _log.debug("%s: %s", servo.name, error)  # it is missed by its states
@@ -424,8 +394,7 @@ class DynamixelServos(Device):
         """Its clock may have begun anew, and its joint may have been moved."""
         servo.tick = None
         servo.clock.reset()
-        servo.raw = math.nan
-        servo.doubts = 0
+        servo.encoder.forget()
 
     def _is_wanted(self, servo: _Servo) -> bool:
         command = self.command

@@ -26,7 +26,10 @@ class ForceTorque(CanDevice):
     def __init__(self, name: str, context: DeviceContext) -> None:
         table = context.robot.tables.devices[name]
         assert isinstance(table, FtCan)
-        units = {each.id: CanUnit(each.id, Identity(each.serial, each.firmware), name) for each in table.sensors}
+        supply = context.robot.tables.supply
+        units = {
+            each.id: CanUnit(each.id, Identity(each.serial, each.firmware), name, supply) for each in table.sensors
+        }
         super().__init__(name, context, table.bus, units, can_frames.SENSOR_STATE_LENGTH)
         self.places = tuple(each.at for each in table.sensors)
         self._row = {number: row for row, number in enumerate(units)}
@@ -45,7 +48,7 @@ class ForceTorque(CanDevice):
         row = self._row[unit.number]
         self._wrench[row] = wrench
         self._stamp[row] = time.monotonic_ns()
-        self._judge(unit, 0.1 * temperature, None, ())
+        self._judge(unit, 0.1 * temperature, math.nan, ())
         return True
 
     def _hand_over(self) -> None:

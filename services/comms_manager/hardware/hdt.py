@@ -151,8 +151,9 @@ class Hdt(Device):
                     # Whoever comes back hears nothing before he has said where he is.
                     if self._cycle % limb.every == 0 and not limb.silent:
                         self._tell(limb, self.command)
+                self._listen(0.0)  # what has come while this thread waited for its turn is no silence
                 self._look_for_silence(now)
-            self._listen(min(_LOOK_EVERY, due - now))
+            self._listen(min(_LOOK_EVERY, max(0.0, due - now)))
 
     def _listen(self, timeout: float) -> None:
         """Wait for states, and hand them over."""
@@ -163,6 +164,7 @@ class Hdt(Device):
                 news = self._hear(limb, received.message) or news
         if news:
             self._hand_over()
+        self.looks += 1
 
     def _hand_over(self) -> None:
         self.measured = JointMeasurement(

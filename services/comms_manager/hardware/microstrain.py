@@ -17,6 +17,7 @@ from threading import Event
 import numpy as np
 import serial
 
+from comms_manager.hardware.condition import require_identity
 from comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault, ImuMeasurement, UnitRecord
 from comms_manager.hardware.device_clock import DeviceClock
 from comms_manager.hardware.mip import Packet, PacketStream, encode
@@ -43,7 +44,7 @@ LATEST = 0.02  # a packet that is held up longer is not used [s]
 RETRY_PERIOD = 0.5  # between attempts to find a sensor that is gone [s]
 STREAM_LOST = 1.0  # without a packet, after which it is asked to stream again [s]
 UNIT_LENGTH = 0.01  # by which an attitude's norm may be off
-_WAIT = 0.05  # longest sleep of the thread [s]
+_WAIT = 0.02  # longest sleep of the thread [s]
 _READ = 4096
 
 _FIELDS = (
@@ -78,6 +79,8 @@ class MicroStrain(Device):
         self._stream = PacketStream()
         self._clock = DeviceClock()
         self._skipped = 0
+        self._looked = math.inf  # at the port, last; before the first time, never [monotonic s]
+        self._away = 0.0  # how long nobody had looked, beyond what the thread sleeps, before it did now [s]
         self._filter_state = FilterState.RUNNING_VALID
 
     # --- start and end ------------------------------------------------------------------------------------------------
@@ -137,13 +140,12 @@ class MicroStrain(Device):
         number, *texts = DEVICE_INFORMATION.unpack(information)
         model, _, serial_number, *_ = (text.decode("ascii", "replace").strip(" \0") for text in texts)
         firmware = f"{number // 1000}.{number // 100 % 10}.{number % 100}"
-        for what, is_, expected in (
-            ("model", model, self._table.model),
-            ("serial number", serial_number, self._table.serial),
-            ("firmware", firmware, self._table.firmware),
-        ):
-            if is_ != expected:
-                raise DeviceError(f"{self.name}: {what} {is_!r}; expected {expected!r} (robot.yaml)")
+        table = self._table
+        require_identity(
+            self.name,
+            {"model": model, "serial number": serial_number, "firmware": firmware},
+            {"model": table.model, "serial number": table.serial, "firmware": table.firmware},
+        )
 
     def _configure(self, tries: int) -> None:
         """Ask for the fields at the rate of robot.yaml, see that they are taken, and have them streamed."""
@@ -206,6 +208,7 @@ class MicroStrain(Device):
                     self.tell([])
                 elif self._port is None:
                     stopping.wait(_WAIT)
+                    self.looks += 1
             except (serial.SerialException, OSError):
                 self._disconnect()
                 self.tell([Ailment(self.name, Fault.UNPLUGGED, f"{self._path} is gone")])
@@ -219,11 +222,16 @@ class MicroStrain(Device):
         for packet in self._receive(timeout):
             if packet.descriptor_set == DescriptorSet.FILTER_DATA and not self._take(packet):
                 self._record.errors += 1
+        self.looks += 1
 
     def _receive(self, timeout: float) -> list[Packet]:
         """The packets that are complete by the first bytes which come within a time [s]."""
         assert self._port is not None
         ready, _, _ = select.select((self._port.fileno(), self.woken), (), (), timeout)
+        # The kernel hands a terminal's bytes over by a worker of low priority, and ``select`` waits for that one beyond
+        # its own time-out: on a busy computer for longer than this thread does for its turn.
+        now = time.monotonic()
+        self._away, self._looked = max(0.0, now - self._looked - _WAIT), now
         if self.woken in ready:
             self.drain_wake()
         if self._port.fileno() not in ready:
@@ -257,7 +265,7 @@ class MicroStrain(Device):
         if not (abs(norm - 1.0) < UNIT_LENGTH and math.isfinite(sum(rate) + sum(acceleration))):
             return False
         late = self._clock.lateness(device_time, 1e-9 * stamp) if math.isfinite(device_time) else None
-        if late is None or late > LATEST:
+        if late is None or late > LATEST + self._away:  # what lay here, unread, is not the sensor's to answer for
             return False
         self.measured = ImuMeasurement(
             stamp,

@@ -20,7 +20,7 @@ from comms_manager.hardware.device import (
 )
 from valor_common.devices import can_frames
 from valor_common.devices.can_frames import Code, Identity
-from valor_common.devices.table import MotorController, SeaCanFd
+from valor_common.devices.table import MotorController, SeaCanFd, SupplyLimits
 from valor_common.messages import JointMode
 from valor_common.robot import FloatVector
 
@@ -42,8 +42,8 @@ _ANY_FAULT = sum(_FAULTS)
 class _Controller(CanUnit):
     """A motor controller; ``rows``: of its axes among the device's joints."""
 
-    def __init__(self, table: MotorController, device: str, first: int) -> None:
-        super().__init__(table.id, Identity(table.serial, table.firmware), device)
+    def __init__(self, table: MotorController, device: str, first: int, supply: SupplyLimits) -> None:
+        super().__init__(table.id, Identity(table.serial, table.firmware), device, supply)
         self.rows = range(first, first + len(table.axes))
         self.jumps = 0  # implausible positions in a row
         self.jumped: list[int] = []  # rows whose encoder cannot be believed any more
@@ -63,7 +63,7 @@ class SeriesElastic(CanDevice):
         self._controllers: dict[int, _Controller] = {}
         first = 0
         for controller in table.controllers:
-            self._controllers[controller.id] = _Controller(controller, name, first)
+            self._controllers[controller.id] = _Controller(controller, name, first, robot.tables.supply)
             first += len(controller.axes)
         super().__init__(name, context, table.bus, self._controllers, can_frames.CONTROLLER_STATE_LENGTH)
         m = len(self.joints)

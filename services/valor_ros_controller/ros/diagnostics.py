@@ -93,7 +93,11 @@ class ProcessDiagnostics:
 class DeviceDiagnostics:
     """The units of all devices, by the Comms Manager's word."""
 
-    _LEVELS: ClassVar[dict[str, bytes]] = {"ok": DiagnosticStatus.OK, "faulty": DiagnosticStatus.WARN}
+    _LEVELS: ClassVar[dict[str, bytes]] = {
+        "ok": DiagnosticStatus.OK,
+        "faulty": DiagnosticStatus.WARN,
+        "overdue": DiagnosticStatus.WARN,
+    }
 
     def __init__(self, node: bifrost.Node) -> None:
         self._subscriber = node.subscriber(DEVICES.name, DeviceStatus)
