@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
+
+from bag_recorder.quick_writer import QuickWriter
 
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
 PROFILE = "ros2"
@@ -78,7 +80,7 @@ class Bag:
         self.path = path
         self.written: dict[str, int] = {}
         self._file = _File(path)
-        self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+        self._writer = QuickWriter(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
         self._writer.start(PROFILE, "valor")
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}

@@ -23,6 +23,7 @@ from bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
 from valor_common.selection import Selection
 
 DEPTH = 2000  # messages a topic that may wait for the next look
+ROUNDS = 8  # of discovery, in which every known topic is looked over once
 
 _log = logging.getLogger("bag_recorder")
 
@@ -41,6 +42,7 @@ class _Tap:
         self.qos = qos
         self.received = self.unwritten = self.lost = 0
         self.publishers = 0
+        self.seen = 0  # publishers in the graph when the tap was last looked over, the recorder's own included
         self._last = 0
         self.subscription = node.create_subscription(message_type, topic.name, _unused, qos, raw=True)
 
@@ -74,6 +76,7 @@ class RosTap:
         )
         self._taps: dict[str, _Tap] = {}
         self._refused: set[str] = set()
+        self._round = 0
 
     def close(self) -> None:
         """Leave the graph."""
@@ -86,9 +89,18 @@ class RosTap:
         return {name: (tap.received, tap.lost + tap.unwritten) for name, tap in self._taps.items()}
 
     def discover(self) -> None:
-        """Subscribe to topics that are new, and anew to those whose publishers now offer less than was asked for."""
-        for name, types in self._node.get_topic_names_and_types():
+        """Subscribe to topics that are new, and anew to those whose publishers now offer less than was asked for.
+
+        Asking who publishes a topic takes ten times as long as asking how many: what is known is asked the former when
+        the number has changed, and now and then in turn.
+        """
+        self._round = (self._round + 1) % ROUNDS
+        for i, (name, types) in enumerate(self._node.get_topic_names_and_types()):
             if name in self._refused or _hidden(name) or name not in self._selection:
+                continue
+            count = self._node.count_publishers(name)
+            known = self._taps.get(name)
+            if known is not None and count == known.seen and i % ROUNDS != self._round:
                 continue
             publishers = [
                 each
@@ -107,6 +119,7 @@ class RosTap:
                 self._taps[name].resubscribed(tap)
             if name in self._taps:
                 self._taps[name].publishers = len(publishers)
+                self._taps[name].seen = count
 
     def drain(self, sink: Sink | None) -> None:
         """Hand on what waits; without a sink it is let go.

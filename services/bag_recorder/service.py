@@ -1,4 +1,4 @@
-"""The recorder's loop: some fifty times a second hand on what has come from both sides."""
+"""The recorder's loop: ten times a second hand on what has come from both sides."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from valor_common.selection import Selection
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import MOTION_STATE, SNAP
 
-PERIOD = 0.02  # between two looks [s]
+PERIOD = 0.1  # between two looks [s]; a look at some ninety topics has its price, and queues hold seconds
 DISCOVERY_PERIOD = 0.25  # [s]
 CLOCK_PERIOD = 1.0  # [s]
 
