@@ -21,6 +21,7 @@ from valor_common.topics import MOTION_STATE, SNAP
 PERIOD = 0.1  # between two looks [s]; a look at some ninety topics has its price, and queues hold seconds
 DISCOVERY_PERIOD = 0.25  # [s]
 CLOCK_PERIOD = 1.0  # [s]
+GRACE = 0.05  # for what was sent before the recorder was told to stop, and is on its way [s]
 
 _log = logging.getLogger("bag_recorder")
 
@@ -86,6 +87,7 @@ class BagRecorder:
     def close(self) -> None:
         """Take what still waits, finish the bag, tell what became of each topic, and leave both sides."""
         try:
+            time.sleep(GRACE)
             self._drain()
             self._recording.close()
         except OSError as error:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as parquet
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -115,7 +116,6 @@ def test_columns_that_come_later_stand_at_the_right_and_every_row_is_as_wide(tmp
 
 
 def test_as_parquet_a_column_has_one_type_and_what_is_not_there_is_null(tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")  # an extra
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         joints = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=STORE)
         for i, names in enumerate((["a"], ["a", "b"])):
