@@ -19,6 +19,7 @@ class UpperBodyKinematics:
 
     Attributes:
         nominal_com_height: of the CoM above the soles in the nominal posture [m].
+        com: (3,) in pelvis [m], and nominal_com: likewise, in the nominal posture.
     """
 
     def __init__(self, model: Model) -> None:
@@ -32,13 +33,13 @@ class UpperBodyKinematics:
         data.qpos[:] = 0.0
         data.qpos[3] = 1.0
         data.qpos[7:] = self._nominal
-        self._com: FloatArray = data.subtree_com[model.body(robot.tables.base)]
+        self.com: FloatArray = data.subtree_com[model.body(robot.tables.base)]
         self._chest: FloatArray = data.xmat[model.body(robot.tables.chest)].reshape(3, 3)
         self._evaluate()
-        self._nominal_com = self._com.copy()
+        self.nominal_com = self.com.copy()
         feet = robot.tables.feet
         soles = [data.site_xpos[model.site(foot.sole)][2] for foot in (feet.left, feet.right)]
-        self.nominal_com_height = float(self._com[2] - np.mean(soles))
+        self.nominal_com_height = float(self.com[2] - np.mean(soles))
         self._last = np.full(self._upper.size, np.nan)
 
     def update(self, position: FloatArray) -> None:
@@ -51,7 +52,7 @@ class UpperBodyKinematics:
 
     def com_displacement(self) -> FloatArray:
         """(3,) of the CoM from where it is in the nominal posture, in pelvis [m]."""
-        result: FloatArray = self._com - self._nominal_com
+        result: FloatArray = self.com - self.nominal_com
         return result
 
     def chest_rotation(self) -> FloatArray:

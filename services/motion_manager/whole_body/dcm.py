@@ -13,67 +13,42 @@ push that will pass.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 
-import numpy as np
+import casadi as ca
 
-from motion_manager.whole_body.state import FloatArray
+from motion_manager.whole_body.kernel import Expression
 
 
+@dataclass(frozen=True, slots=True)
 class DcmLaw:
-    """DCM feedback with bounded integral action.
+    """DCM feedback with bounded integral action, on expressions."""
 
-    Attributes:
-        omega: ω [1/s].
-        integral: (3,) i [m].
-    """
-
-    def __init__(
-        self, omega: float, gain: float, integral_gain: float, integral_limit: float, integral_error: float
-    ) -> None:
-        """A law without a history.
-
-        Args:
-            omega: ω [1/s].
-            gain: k [1/s].
-            integral_gain: k_i [1/s].
-            integral_limit: of each component of i [m].
-            integral_error: most of each component of the error that is integrated [m].
-        """
-        self.omega = omega
-        self._proportional = 1.0 + gain / omega
-        self._integral_gain = integral_gain
-        self._integral_limit = integral_limit
-        self._integral_error = integral_error
-        self.integral = np.zeros(3)
+    omega: float  # ω [1/s]
+    gain: float  # k [1/s]
+    integral_gain: float  # k_i [1/s]
+    integral_limit: float  # of each component of i [m]
+    integral_error: float  # most of each component of the error that is integrated [m]
 
     @staticmethod
     def natural_frequency(height: float, gravity: float) -> float:
         """ω = √(g/z) [1/s] of a CoM ``height`` above the soles [m]."""
         return sqrt(gravity / height)
 
-    def reset(self) -> None:
-        """Forget the integral."""
-        self.integral = np.zeros(3)
-
     def repellent_point(
-        self, dcm: FloatArray, reference: FloatArray, vrp_reference: FloatArray, dt: float
-    ) -> FloatArray:
-        """(3,) v [m] for the DCM, its reference and the reference's VRP, (3,) in odom [m], after ``dt`` [s]."""
-        error = dcm - reference
-        slow = np.minimum(error, self._integral_error)
-        np.maximum(slow, -self._integral_error, out=slow)
-        slow *= self._integral_gain * dt
-        slow += self.integral
-        np.minimum(slow, self._integral_limit, out=slow)
-        np.maximum(slow, -self._integral_limit, out=slow)
-        self.integral = slow
-        error *= self._proportional
-        error += vrp_reference
-        error += self.integral
-        return error
+        self, dcm: Expression, reference: Expression, vrp_reference: Expression, integral: Expression, dt: Expression
+    ) -> tuple[Expression, Expression]:
+        """(3,) v and (3,) i [m] for the DCM, its reference and the reference's VRP, (3,) in odom [m], after ``dt`` [s].
 
-    def acceleration(self, com: FloatArray, repellent_point: FloatArray) -> FloatArray:
+        ``integral`` is i before.
+        """
+        error = dcm - reference
+        slow = ca.fmax(ca.fmin(error, self.integral_error), -self.integral_error)
+        integral = integral + self.integral_gain * dt * slow
+        integral = ca.fmax(ca.fmin(integral, self.integral_limit), -self.integral_limit)
+        return vrp_reference + (1.0 + self.gain / self.omega) * error + integral, integral
+
+    def acceleration(self, com: Expression, repellent_point: Expression) -> Expression:
         """(3,) c̈ = ω²·(c − v) [m/s²]."""
-        result: FloatArray = (com - repellent_point) * (self.omega * self.omega)
-        return result
+        return (com - repellent_point) * (self.omega * self.omega)

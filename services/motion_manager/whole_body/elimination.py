@@ -56,7 +56,7 @@ class Elimination:
         Raises:
             UnsolvableError: H is not positive definite.
         """
-        self._factor, info = dpotrf(hessian, lower=1, clean=0)
+        self._factor, info = dpotrf(hessian.T, lower=1, clean=0)  # as LAPACK has it, down columns
         if info != 0:
             raise UnsolvableError("the objective's Hessian is not positive definite")
         self._gradient = gradient
@@ -96,16 +96,16 @@ class Elimination:
         compliance, info = dpotrf(products[:, :n], lower=1, clean=0)
         if info != 0:
             raise UnsolvableError("the constraints are not independent")
-        residual = products[:, n] + offset  # r
         right = np.empty((n, effect.shape[1] + 1), order="F")
         right[:, :-1] = effect
-        right[:, -1] = residual
+        np.add(products[:, n], offset, out=right[:, -1])  # r
         scaled, _ = dpotrs(compliance, right, lower=1, overwrite_b=1)  # S⁻¹·[B, r]
-        hessian = effect.T @ scaled[:, :-1]
+        objective = effect.T @ scaled  # Bᵀ·S⁻¹·[B, r]
+        hessian, gradient = objective[:, :-1].copy(), np.negative(objective[:, -1])
         diagonal = hessian.ravel()[:: hessian.shape[0] + 1]  # a view
         diagonal[:count] += FORCE_REGULARIZATION
-        diagonal[count:] += VALUE_REGULARIZATION
-        gradient = scaled[:, -1] @ -effect
+        if limit is not None:
+            diagonal[count:] += VALUE_REGULARIZATION
         if not isfinite(gradient @ gradient):  # LAPACK lets NaN pass, and here it has reached every number
             raise UnsolvableError("the problem is not finite")
         return Reduced(hessian, gradient, solved, scaled)

@@ -3,25 +3,24 @@
 All start values fade out by one minimum-jerk blend s(t) (Flash & Hogan 1985). The CoM ends over the support's centre at
 its nominal height, moved with the arms (``arms``) and as the pelvis is led (``pelvis``); pelvis and chest end level,
 heading as the feet do, turned as the pelvis is led. While the robot steps, DCM and VRP are those of its gait, moved
-likewise.
+likewise. All of it is expressions of ``kernel``, which ``wishes`` evaluates.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import casadi as ca
 import numpy as np
 
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.pelvis import PelvisReference
-from motion_manager.whole_body.state import FloatArray, RobotState
-from valor_common.model import Model
+from motion_manager.whole_body.kernel import Expression
+from valor_common.robot import RobotDescription
 
 
-def minimum_jerk(time: float, duration: float) -> tuple[float, float, float]:
+def minimum_jerk(time: Expression, duration: float) -> tuple[Expression, Expression, Expression]:
     """s, ṡ [1/s], s̈ [1/s²] of the blend from 0 at 0 to 1 at ``duration`` [s]."""
-    if time >= duration:
-        return 1.0, 0.0, 0.0
-    x = time / duration
+    x = ca.fmin(time / duration, 1.0)
     return (
         x * x * x * (10.0 + x * (6.0 * x - 15.0)),
         30.0 * x * x * (1.0 + x * (x - 2.0)) / duration,
@@ -29,156 +28,159 @@ def minimum_jerk(time: float, duration: float) -> tuple[float, float, float]:
     )
 
 
-class Follower:
-    """A critically damped second-order filter, with the derivatives of what it gives out: ẍ = ω²·(u − x) − 2ω·ẋ.
+def followed(state: Expression, target: Expression, bandwidth: float, dt: Expression) -> Expression:
+    """A critically damped second-order filter, with the derivatives of what it gives: ẍ = ω²·(u − x) − 2ω·ẋ.
 
-    Attributes:
-        state: (3, 3) rows x, ẋ [1/s], ẍ [1/s²]; columns the components.
+    Args:
+        state: (3, k) rows x, ẋ [1/s], ẍ [1/s²].
+        target: (k,) u.
+        bandwidth: ω [rad/s].
+        dt: for which it follows, short beside 1/ω [s].
+
+    Returns:
+        (3, k) the state afterwards.
     """
+    place, rate = state[0, :], state[1, :]
+    acceleration = bandwidth**2 * (target.T - place) - 2.0 * bandwidth * rate
+    rate = rate + dt * acceleration
+    return ca.vertcat(place + dt * rate, rate, acceleration)
 
-    def __init__(self, bandwidth: float) -> None:
-        """At rest at the origin.
 
-        Args:
-            bandwidth: ω [rad/s].
-        """
-        self._bandwidth = bandwidth
-        self._dt = 0.0
-        self._transition, self._input = np.eye(3), np.zeros((3, 1))
-        self.state = np.zeros((3, 3))
+class Feet(NamedTuple):
+    """Where the soles are in odom."""
 
-    def reset(self, value: FloatArray) -> None:
-        """Stand still at ``value`` (3,)."""
-        self.state[:] = 0.0
-        self.state[0] = value
+    positions: Expression  # (2, 3) [m]
+    rotations: Expression  # (6, 3) left above right
 
-    def update(self, target: FloatArray, dt: float) -> None:
-        """Follow u = ``target`` (3,) for ``dt`` [s], which is short beside 1/ω."""
-        if dt != self._dt:
-            self._set_period(dt)
-        self.state = self._transition @ self.state
-        self.state += self._input * target
+    def level(self) -> Expression:
+        """(3, 3) upright, heading as the feet do."""
+        across = self.rotations[0, 0] + self.rotations[3, 0], self.rotations[1, 0] + self.rotations[4, 0]
+        yaw = ca.atan2(across[1], across[0])
+        c, s = ca.cos(yaw), ca.sin(yaw)
+        return ca.vertcat(ca.horzcat(c, -s, 0.0), ca.horzcat(s, c, 0.0), ca.horzcat(0.0, 0.0, 1.0))
 
-    def _set_period(self, dt: float) -> None:
-        w = self._bandwidth
-        acceleration = np.array((-w * w, -2.0 * w, 0.0))
-        rate = np.array((0.0, 1.0, 0.0)) + dt * acceleration
-        self._dt = dt
-        self._transition = np.stack((np.array((1.0, 0.0, 0.0)) + dt * rate, rate, acceleration))
-        self._input = w * w * np.array(((dt * dt,), (dt,), (1.0,)))
+
+class Led(NamedTuple):
+    """How the pelvis is led (``pelvis``), and what the arms do to the CoM and the chest (``arms``)."""
+
+    rotation: Expression  # (3, 3) of the pelvis in support
+    angular_velocity: Expression  # (3,) likewise [rad/s]
+    com: Expression  # (3,) that the CoM is to move, in support [m]
+    arms_com: Expression  # (3,) that it moves with the arms, in pelvis [m]
+    chest: Expression  # (3, 3) in pelvis
+
+
+class Begun(NamedTuple):
+    """What the reference keeps from period to period."""
+
+    time: Expression  # (1,) since the start [s]
+    support: Expression  # (3,) the CoM over the soles, followed slowly [m]
+    shift: Expression  # (3, 3) of the CoM, as of ``followed``
+    offsets: Expression  # (3, 3) at the start: CoM [m], pelvis, chest [rad]; none of the CoM's after a step
+
+
+class Reference(NamedTuple):
+    """Where things shall be, in odom."""
+
+    dcm: Expression  # (3,) [m]
+    vrp: Expression  # (3,) [m]
+    shift: Expression  # (3,) of the DCM, that the arms are not nominal [m]
+    centre_dcm: Expression  # (3,) of a robot with nominal arms [m]
+    centre_vrp: Expression  # (3,) likewise [m]
+    turning: Expression  # (3,) angular velocity of pelvis and chest, as the pelvis is led [rad/s]
+    legs_blend: Expression  # s, of the leg joints from where they were to nominal
+    pelvis: Expression  # (3, 3)
+    chest: Expression  # (3, 3)
 
 
 class StandReference:
-    """Where CoM, DCM, VRP, chest, pelvis and legs shall be.
+    """The reference of a robot."""
 
-    Attributes:
-        dcm: (3,), vrp: (3,) in odom [m].
-        pelvis: (3, 3), chest: (3, 3) in odom.
-        turning: (3,) angular velocity of both, as the pelvis is led, in odom [rad/s].
-        legs_blend: s, of the leg joints from where they were to nominal.
-        centre_dcm: (3,), centre_vrp: (3,) the same of a robot with nominal arms.
-        shift: (3,) of the DCM, that the arms are not nominal [m].
-    """
-
-    def __init__(self, model: Model, omega: float, upper_body: UpperBodyKinematics, pelvis: PelvisReference) -> None:
-        robot = model.robot
+    def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
+        """Args: omega: ω [1/s]. com_height: of the CoM above the soles in the nominal posture [m]."""
         table = robot.tables.whole_body
-        self._upper_body = upper_body
-        self._led = pelvis
-        self._omega = omega
-        self._duration = table.blend_duration
+        self._table, self._omega = table, omega
         limit = table.com_shift_limit
-        self._limit = np.array((limit, limit, np.inf)) if limit else np.zeros(3)
+        self._limit = ca.DM((limit, limit, np.inf)) if limit else ca.DM.zeros(3)
         feet = robot.tables.feet
         inside = min(foot.toe - foot.heel for foot in (feet.left, feet.right)) / 2.0 - robot.tables.pelvis.com_margin
-        self._inside = np.array((inside, inside, np.inf))
-        centres = [((foot.heel + foot.toe) / 2.0, 0.0, 0.0) for foot in (feet.left, feet.right)]
-        self._centres = np.array(centres)[:, :, None]
-        self._height = np.array((0.0, 0.0, upper_body.nominal_com_height))
-        self._support_bandwidth = table.support_bandwidth
-        self._support = np.zeros(3)
-        self._shift = Follower(table.com_shift_bandwidth)
-        # DCM x + ẋ/ω and VRP x − ẍ/ω² of a CoM x
-        self._points = np.array(((1.0, 1.0 / omega, 0.0), (1.0, 0.0, -1.0 / (omega * omega))))
-        self._time = 0.0
-        self._com_offset = np.zeros(3)
-        self._pelvis_offset = np.zeros(3)
-        self._chest_offset = np.zeros(3)
-        self.dcm, self.vrp = np.zeros(3), np.zeros(3)
-        self.shift = np.zeros(3)
-        self.centre_dcm, self.centre_vrp = np.zeros(3), np.zeros(3)
-        self.pelvis, self.chest = np.eye(3), np.eye(3)
-        self.turning = np.zeros(3)
-        self.legs_blend = 0.0
+        self._inside = ca.DM((inside, inside, np.inf))
+        self._centres = [ca.DM(((foot.heel + foot.toe) / 2.0, 0.0, 0.0)) for foot in (feet.left, feet.right)]
+        self._height = ca.DM((0.0, 0.0, com_height))
 
-    def reset(self, state: RobotState) -> None:
-        """Start from ``state``, at rest."""
-        self._time = 0.0
-        self._support = self._support_centre(state)
-        level = _level(state)
-        self._led.reset()
-        self._shift.reset(self._clipped_shift(level))
-        self._com_offset = state.com_in_odom - self._support - self._shift.state[0]
-        self._pelvis_offset = rotation.rotation_vector(state.pelvis_rotation_in_odom @ level.T)
-        chest = level @ self._upper_body.chest_rotation()
-        self._chest_offset = rotation.rotation_vector(state.dynamics.chest_rotation @ chest.T)
+    def begin(self, feet: Feet, led: Led, com: Expression, pelvis: Expression, chest: Expression) -> Begun:
+        """At rest, from the CoM (3,) [m] and the rotations (3, 3) of pelvis and chest in odom: all numbers."""
+        level = feet.level()
+        shift, support = self._shift(level, led), self._support(feet)
+        offsets = (
+            com - support - shift,
+            _vector(pelvis @ level.T),
+            _vector(chest @ (level @ led.chest).T),
+        )
+        return Begun(ca.DM.zeros(1), support, ca.horzcat(shift, ca.DM.zeros(3, 2)).T, ca.horzcat(*offsets).T)
 
-    def update(self, state: RobotState, dt: float, gait: tuple[FloatArray, FloatArray] | None = None) -> None:
-        """Go on by one period; ``upper_body`` is at the commanded posture.
+    def advance(
+        self, begun: Begun, feet: Feet, led: Led, gait: tuple[Expression, Expression, Expression], dt: Expression
+    ) -> tuple[Begun, Reference]:
+        """One period on.
 
         Args:
-            state: the estimate.
-            dt: since the last [s].
-            gait: (3,) DCM and (3,) VRP of the gait while the robot steps; None: it stands.
+            begun: of the last period.
+            feet: as they are.
+            led: as commanded.
+            gait: whether the robot steps; (3,) DCM and (3,) VRP of its gait then [m].
+            dt: since the last period [s].
         """
-        self._time += dt
-        level = _level(state)
-        self._shift.update(self._clipped_shift(level), dt)
-        self.pelvis = level @ self._led.rotation
-        self.chest = self.pelvis @ self._upper_body.chest_rotation()
-        self.turning = level @ self._led.angular_velocity
-        self.legs_blend = 1.0
-        self._support = self._support + (self._support_centre(state) - self._support) * (self._support_bandwidth * dt)
-        self.centre_dcm = self.centre_vrp = self._support
-        if self._time < self._duration:
-            self._blend_in(*minimum_jerk(self._time, self._duration))
-        if gait is not None:
-            self.centre_dcm, self.centre_vrp = gait
-            self._support = self.centre_vrp  # where standing goes on from
-            self._com_offset[:] = 0.0
-        points = self._points @ self._shift.state
-        self.shift = points[0]
-        self.dcm, self.vrp = points[0] + self.centre_dcm, points[1] + self.centre_vrp
+        table, omega = self._table, self._omega
+        steps, gait_dcm, gait_vrp = gait
+        level, time = feet.level(), begun.time + dt
+        support = begun.support + (self._support(feet) - begun.support) * (table.support_bandwidth * dt)
+        shift = followed(begun.shift, self._shift(level, led), table.com_shift_bandwidth, dt)
+        s, rate, acceleration = minimum_jerk(time, table.blend_duration)
+        left, offsets = 1.0 - s, begun.offsets
+        # DCM x + ẋ/ω and VRP x − ẍ/ω² of a CoM x
+        centre_dcm = ca.if_else(steps, gait_dcm, support + (left - rate / omega) * offsets[0, :].T)
+        centre_vrp = ca.if_else(steps, gait_vrp, support + (left + acceleration / omega**2) * offsets[0, :].T)
+        shift_dcm = (shift[0, :] + shift[1, :] / omega).T
+        shift_vrp = (shift[0, :] - shift[2, :] / omega**2).T
+        pelvis = level @ led.rotation
+        reference = Reference(
+            dcm=centre_dcm + shift_dcm,
+            vrp=centre_vrp + shift_vrp,
+            shift=shift_dcm,
+            centre_dcm=centre_dcm,
+            centre_vrp=centre_vrp,
+            turning=level @ led.angular_velocity,
+            legs_blend=s,
+            pelvis=_turned(left * offsets[1, :].T) @ pelvis,
+            chest=_turned(left * offsets[2, :].T) @ pelvis @ led.chest,
+        )
+        com_offset = ca.if_else(steps, 0.0, offsets[0, :])
+        support = ca.if_else(steps, centre_vrp, support)  # where standing goes on from
+        return Begun(time, support, shift, ca.vertcat(com_offset, offsets[1:, :])), reference
 
-    def _blend_in(self, s: float, rate: float, acceleration: float) -> None:
-        """Add what is left of the start."""
-        omega, left = self._omega, 1.0 - s
-        self.legs_blend = s
-        self.centre_dcm = self._support + (left - rate / omega) * self._com_offset
-        self.centre_vrp = self._support + (left + acceleration / (omega * omega)) * self._com_offset
-        self.pelvis = rotation.from_rotation_vector(left * self._pelvis_offset) @ self.pelvis
-        self.chest = rotation.from_rotation_vector(left * self._chest_offset) @ self.chest
-
-    def _support_centre(self, state: RobotState) -> FloatArray:
+    def _support(self, feet: Feet) -> Expression:
         """(3,) of the CoM over the middle of both soles at nominal height, in odom [m]."""
-        centres: FloatArray = np.matmul(state.sole_rotations_in_odom, self._centres)[:, :, 0]
-        centres += state.sole_positions_in_odom
-        centre: FloatArray = (centres[0] + centres[1]) * 0.5 + self._height
-        return centre
+        middles = (feet.positions[i, :].T + feet.rotations[3 * i : 3 * i + 3, :] @ self._centres[i] for i in range(2))
+        return 0.5 * sum(middles) + self._height
 
-    def _clipped_shift(self, level: FloatArray) -> FloatArray:
+    def _shift(self, level: Expression, led: Led) -> Expression:
         """(3,) of the CoM with the arms, limited, and with the pelvis; both together well inside the soles."""
-        led = self._led
-        shift: FloatArray = led.rotation @ self._upper_body.com_displacement()
-        np.maximum(shift, -self._limit, out=shift)
-        np.minimum(shift, self._limit, out=shift)
-        shift += led.com_displacement
-        np.maximum(shift, -self._inside, out=shift)
-        np.minimum(shift, self._inside, out=shift)
-        result: FloatArray = level @ shift
-        return result
+        shift = _clipped(led.rotation @ led.arms_com, self._limit)
+        return level @ _clipped(shift + led.com, self._inside)
 
 
-def _level(state: RobotState) -> FloatArray:
-    """(3, 3) upright, heading as the feet do."""
-    return rotation.yaw_matrix(rotation.mean_yaw(state.sole_rotations_in_odom[0], state.sole_rotations_in_odom[1]))
+def _clipped(vector: Expression, limit: Expression) -> Expression:
+    return ca.fmin(ca.fmax(vector, -limit), limit)
+
+
+def _turned(vector: Expression) -> Expression:
+    """(3, 3) rotation by a rotation vector [rad] (Rodrigues)."""
+    angle = ca.fmax(ca.norm_2(vector), 1e-12)
+    cross = ca.skew(vector / angle)
+    return ca.SX.eye(3) + ca.sin(angle) * cross + (1.0 - ca.cos(angle)) * (cross @ cross)
+
+
+def _vector(matrix: Expression) -> Expression:
+    """(3,) axis·θ [rad] of a (3, 3) rotation below π."""
+    return ca.DM(rotation.rotation_vector(np.array(ca.DM(matrix))))

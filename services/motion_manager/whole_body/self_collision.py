@@ -17,6 +17,8 @@ looked at until then.
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
+
 import numpy as np
 
 from motion_manager.whole_body.dynamics import Dynamics
@@ -42,8 +44,7 @@ class SelfCollision:
         self._table = table = model.robot.tables.self_collision
         self._pairs = [(model.shape(one), model.shape(other)) for one, other in table.pairs]
         count, nv = len(self._pairs), model.mj.nv
-        self._due = np.zeros(count, dtype=np.int64)  # when each must be looked at again [ns]
-        self._next = 0  # the least of them
+        self._due = [(0, k) for k in range(count)]  # a heap: when each must be looked at again [ns]
         self._time = 0
         self._directions = np.zeros((count, 3))
         self._segment = np.zeros(6)
@@ -62,22 +63,27 @@ class SelfCollision:
         """
         self.rows = 0
         if time < self._time:  # another world
-            self._due[:] = self._next = 0
+            self._due = [(0, k) for k in range(len(self._pairs))]
         self._time = time
-        if time < self._next or not self._pairs:
+        due = self._due
+        if not due or due[0][0] > time:
             return None
         table, rows, offsets, lower = self._table, [], [], []
-        for k in np.flatnonzero(self._due <= time).tolist():
+        looked: list[tuple[int, int]] = []
+        while due and due[0][0] <= time:
+            _, k = heappop(due)
             distance = dynamics.nearest(*self._pairs[k], REACH, self._segment)
             if distance >= table.near:
-                self._due[k] = time + int(1e9 * (distance - table.near) / FASTEST)
+                looked.append((time + int(1e9 * (distance - table.near) / FASTEST), k))
                 continue
+            looked.append((time, k))
             row, offset = self._row(dynamics, k, distance)
             allowed = min(RETREAT, -table.approach * (distance - table.distance))
             rows.append(row)
             offsets.append(offset)
             lower.append(table.response * (allowed - float(row[6:] @ velocity)))
-        self._next = int(self._due.min())
+        for pair in looked:
+            heappush(due, pair)
         if not rows:
             return None
         self.rows, self.lower = len(rows), np.array(lower)

@@ -7,54 +7,42 @@ or turned towards each other. Where both feet are together is no business of the
 
 from __future__ import annotations
 
-from math import atan2
+import casadi as ca
 
-from motion_manager.whole_body.state import FloatArray, RobotState
-
-
-class Stance:
-    """Where the left sole is from the right one, horizontally, and how it is turned."""
-
-    def __init__(self, stiffness: float) -> None:
-        """Without a stance until ``reset``.
-
-        Args:
-            stiffness: acceleration per distance from the stance [1/s²].
-        """
-        self._half = 0.5 * stiffness
-        self._apart = (0.0, 0.0)
-        self._turned = 0.0
-
-    def reset(self, state: RobotState) -> None:
-        """Keep the stance as it is."""
-        cosine, sine, x, y, self._turned = _relative(state)
-        self._apart = (cosine * x + sine * y, cosine * y - sine * x)
-
-    def hold(self, state: RobotState, wanted: FloatArray) -> None:
-        """Add to what is wanted of the soles.
-
-        Args:
-            state: the estimate.
-            wanted: (12,) accelerations, left linear, left angular, right linear, right angular; written to.
-        """
-        cosine, sine, x, y, turned = _relative(state)
-        ax, ay = self._apart
-        x = self._half * (cosine * ax - sine * ay - x)
-        y = self._half * (sine * ax + cosine * ay - y)
-        turn = self._half * (self._turned - turned)
-        wanted[0] += x
-        wanted[1] += y
-        wanted[5] += turn
-        wanted[6] -= x
-        wanted[7] -= y
-        wanted[11] -= turn
+from motion_manager.whole_body.kernel import Expression
+from motion_manager.whole_body.reference import Feet
 
 
-def _relative(state: RobotState) -> tuple[float, float, float, float, float]:
+def stance(feet: Feet) -> Expression:
+    """(3,) where the left sole is from the right one, ahead and to the left of it [m], and how it is turned [rad]."""
+    cosine, sine, x, y, turned = _relative(feet)
+    return ca.vertcat(cosine * x + sine * y, cosine * y - sine * x, turned)
+
+
+def hold(feet: Feet, kept: Expression, stiffness: float) -> Expression:
+    """What is wanted of the soles so that they return to a stance.
+
+    Args:
+        feet: as they are.
+        kept: (3,) the stance.
+        stiffness: acceleration per distance from it [1/s²].
+
+    Returns:
+        (12,) accelerations in odom, left linear, left angular, right linear, right angular.
+    """
+    cosine, sine, x, y, turned = _relative(feet)
+    ahead, aside, turn = ca.vertsplit(kept)
+    left = ca.vertcat(
+        cosine * ahead - sine * aside - x, sine * ahead + cosine * aside - y, 0.0, 0.0, 0.0, turn - turned
+    )
+    return 0.5 * stiffness * ca.vertcat(left, -left)
+
+
+def _relative(feet: Feet) -> tuple[Expression, Expression, Expression, Expression, Expression]:
     """The right foot's heading (cosine, sine), then the left sole from the right one: x, y in odom [m], yaw [rad]."""
-    (lx, ly, _), (rx, ry, _) = state.sole_positions_in_odom.tolist()
-    left, right = state.sole_rotations_in_odom[:, :2, 0].tolist()
-    norm = (right[0] * right[0] + right[1] * right[1]) ** 0.5
+    apart = feet.positions[0, :] - feet.positions[1, :]
+    left, right = feet.rotations[:2, 0], feet.rotations[3:5, 0]
+    norm = ca.norm_2(right)
     cosine, sine = right[0] / norm, right[1] / norm
-    turned = atan2(cosine * left[1] - sine * left[0], cosine * left[0] + sine * left[1])
-    return cosine, sine, lx - rx, ly - ry, turned
+    turned = ca.atan2(cosine * left[1] - sine * left[0], cosine * left[0] + sine * left[1])
+    return cosine, sine, apart[0], apart[1], turned

@@ -37,8 +37,6 @@ class Objective:
     """H and g of a control period.
 
     Attributes:
-        acceleration: (24,) wanted; rows as in ``dynamics``. Written by the controller.
-        posture: (nj,) wanted joint accelerations [rad/s²]. Written by the controller.
         hessian: (nv, nv). gradient: (nv,). Results of ``update``.
     """
 
@@ -56,8 +54,6 @@ class Objective:
         self._posture_weight = np.zeros(joints.count)
         self._diagonal = np.full(nv, REGULARIZATION)
         self.weigh(np.array([getattr(table, f"{task}_weight") for task in TASKS]))
-        self.acceleration = np.zeros(ROWS)
-        self.posture = np.zeros(joints.count)
         self.hessian = np.zeros((nv, nv))
         self.gradient = np.zeros(nv)
         self._hessian_diagonal = np.einsum("ii->i", self.hessian)
@@ -89,13 +85,19 @@ class Objective:
             root[sole_rows(foot)] = sqrt(weight)
         self._root_column[:, 0] = root
 
-    def update(self, dynamics: Dynamics) -> None:
-        """Put the tasks together at this state."""
+    def update(self, dynamics: Dynamics, acceleration: FloatArray, posture: FloatArray) -> None:
+        """Put the tasks together at this state.
+
+        Args:
+            dynamics: at it.
+            acceleration: (24,) wanted; rows as in ``dynamics``.
+            posture: (nj,) wanted of the joints [rad/s²].
+        """
         weighted, wanted = self._weighted, self._wanted
         np.multiply(dynamics.jacobian, self._root_column, out=weighted)
-        np.subtract(self.acceleration, dynamics.drift, out=wanted)
+        np.subtract(acceleration, dynamics.drift, out=wanted)
         wanted *= self._root
         np.dot(weighted.T, weighted, self.hessian)
         self._hessian_diagonal += self._diagonal
         np.dot(wanted, weighted, self.gradient)
-        self._joint_gradient += self._posture_weight * self.posture
+        self._joint_gradient += self._posture_weight * posture

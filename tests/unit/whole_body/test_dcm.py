@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.reference import Follower, minimum_jerk
+from motion_manager.whole_body.kernel import Expression, Kernel
+from motion_manager.whole_body.reference import followed, minimum_jerk
 from valor_common.model import Model
 from valor_common.robot import RobotDescription
 
@@ -17,24 +18,48 @@ OMEGA = DcmLaw.natural_frequency(0.86, 9.81)
 STEP = 5e-4  # of the integration [s]
 
 
-def simulate(
-    law: DcmLaw, com: np.ndarray, velocity: np.ndarray, duration: float, disturbance: np.ndarray
-) -> list[float]:
+class Law:
+    """A DCM law, evaluated."""
+
+    def __init__(self, law: DcmLaw) -> None:
+        self._point, self._com, self._dt = np.zeros((3, 3)), np.zeros(3), np.zeros(1)
+        self.omega, self.integral = law.omega, np.zeros(3)
+        self._next, self._given, self._acceleration = np.zeros(3), np.zeros(3), np.zeros(3)
+
+        def period(points: Expression, com: Expression, dt: Expression, integral: Expression) -> tuple[Expression, ...]:
+            point, integral = law.repellent_point(points[0, :].T, points[1, :].T, points[2, :].T, integral, dt)
+            return point, integral, law.acceleration(com, point)
+
+        self._evaluate = Kernel(
+            "law",
+            period,
+            (self._point, self._com, self._dt, self.integral),
+            (self._given, self._next, self._acceleration),
+        )
+
+    def acceleration(self, com: np.ndarray, dcm: np.ndarray, reference: np.ndarray, dt: float) -> np.ndarray:
+        """Of the CoM, its DCM to be at a reference that rests."""
+        self._point[:], self._com[:], self._dt[0] = (dcm, reference, reference), com, dt
+        self._evaluate()
+        self.integral[:] = self._next
+        return self._acceleration.copy()
+
+
+def simulate(law: Law, com: np.ndarray, velocity: np.ndarray, duration: float, disturbance: np.ndarray) -> list[float]:
     """Errors of the DCM over time, the CoM driven by the law towards the origin and by a constant acceleration."""
     errors = []
     reference = np.zeros(3)
     for _ in range(round(duration / STEP)):
         dcm = com + velocity / law.omega
         errors.append(float(dcm[0]))
-        point = law.repellent_point(dcm, reference, reference, STEP)
-        velocity = velocity + (law.acceleration(com, point) + disturbance) * STEP
+        velocity = velocity + (law.acceleration(com, dcm, reference, STEP) + disturbance) * STEP
         com = com + velocity * STEP
     return errors
 
 
 @pytest.mark.parametrize("gain", [2.0, 5.0, 12.0])
 def test_the_error_decays_with_the_gain(gain: float) -> None:
-    law = DcmLaw(OMEGA, gain, integral_gain=0.0, integral_limit=0.0, integral_error=1.0)
+    law = Law(DcmLaw(OMEGA, gain, integral_gain=0.0, integral_limit=0.0, integral_error=1.0))
     errors = simulate(law, np.array((0.02, 0.0, 0.0)), np.zeros(3), 0.5, np.zeros(3))
     times = np.arange(len(errors)) * STEP
     np.testing.assert_allclose(errors, 0.02 * np.exp(-gain * times), atol=0.02 * 0.01)
@@ -43,45 +68,61 @@ def test_the_error_decays_with_the_gain(gain: float) -> None:
 def test_a_wrong_model_ends_in_the_integral_and_not_in_the_error() -> None:
     """A constant acceleration of 0.15 m/s² is a mass that is wrong by 1.5 %."""
     push = np.array((0.15, 0.0, 0.0))
-    without = DcmLaw(OMEGA, 5.0, 0.0, 0.0, 0.05)
+    without = Law(DcmLaw(OMEGA, 5.0, 0.0, 0.0, 0.05))
     assert simulate(without, np.zeros(3), np.zeros(3), 10.0, push)[-1] > 0.005
-    law = DcmLaw(OMEGA, 5.0, 1.0, 0.05, 0.05)
+    law = Law(DcmLaw(OMEGA, 5.0, 1.0, 0.05, 0.05))
     assert simulate(law, np.zeros(3), np.zeros(3), 10.0, push)[-1] == pytest.approx(0.0, abs=1e-4)
     assert law.integral[0] == pytest.approx(0.15 / OMEGA**2, rel=0.01)
 
 
 def test_the_integral_is_slow_to_believe_a_push_and_is_bounded() -> None:
-    law = DcmLaw(OMEGA, 5.0, 1.0, 0.05, integral_error=0.01)
+    law = Law(DcmLaw(OMEGA, 5.0, 1.0, 0.05, integral_error=0.01))
     for _ in range(500):
-        law.repellent_point(np.array((0.1, -0.1, 0.005)), np.zeros(3), np.zeros(3), 0.002)
+        law.acceleration(np.zeros(3), np.array((0.1, -0.1, 0.005)), np.zeros(3), 0.002)
     np.testing.assert_allclose(law.integral, (0.01, -0.01, 0.005))  # after one second
     for _ in range(10000):
-        law.repellent_point(np.array((0.1, -0.1, 0.0)), np.zeros(3), np.zeros(3), 0.002)
+        law.acceleration(np.zeros(3), np.array((0.1, -0.1, 0.0)), np.zeros(3), 0.002)
     np.testing.assert_allclose(law.integral, (0.05, -0.05, 0.005))
-    law.reset()
-    assert not law.integral.any()
 
 
 @given(st.floats(0.1, 10.0), st.floats(0.0, 1.0))
 def test_minimum_jerk_has_the_derivatives_it_claims(duration: float, share: float) -> None:
     time, step = share * duration, 1e-5 * duration
     time = min(max(time, step), duration - 2.0 * step)
-    s, rate, acceleration = minimum_jerk(time, duration)
-    before, after = minimum_jerk(time - step, duration), minimum_jerk(time + step, duration)
+    s, rate, acceleration = map(float, minimum_jerk(time, duration))
+    before, after = (tuple(map(float, minimum_jerk(time + way, duration))) for way in (-step, step))
     assert 0.0 <= s <= 1.0
     assert rate * duration == pytest.approx((after[0] - before[0]) / (2.0 * step) * duration, abs=1e-5)
     assert acceleration * duration**2 == pytest.approx((after[1] - before[1]) / (2.0 * step) * duration**2, abs=1e-4)
 
 
 def test_minimum_jerk_begins_and_ends_at_rest() -> None:
-    assert minimum_jerk(0.0, 2.0) == (0.0, 0.0, 0.0)
-    assert minimum_jerk(2.0, 2.0) == minimum_jerk(5.0, 2.0) == (1.0, 0.0, 0.0)
+    at_ends = [tuple(map(float, minimum_jerk(time, 2.0))) for time in (0.0, 2.0, 5.0)]
+    assert at_ends == [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
+
+
+class Follower:
+    """What follows with 20 rad/s, evaluated."""
+
+    def __init__(self, place: np.ndarray) -> None:
+        self.state, self._next, self._target, self._dt = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(1)
+        self.state[0] = place
+        self._evaluate = Kernel(
+            "follower",
+            lambda state, target, dt: [followed(state, target, 20.0, dt)],
+            (self.state, self._target, self._dt),
+            (self._next,),
+        )
+
+    def update(self, target: np.ndarray, dt: float) -> None:
+        self._target[:], self._dt[0] = target, dt
+        self._evaluate()
+        self.state[:] = self._next
 
 
 def test_follower_follows_without_overshoot_and_knows_its_derivatives() -> None:
     dt = 0.002
-    follower = Follower(20.0)
-    follower.reset(np.array((1.0, -2.0, 0.0)))
+    follower = Follower(np.array((1.0, -2.0, 0.0)))
     target = np.array((2.0, -2.0, 0.5))
     values = [follower.state.copy()]
     for _ in range(500):
@@ -96,7 +137,7 @@ def test_follower_follows_without_overshoot_and_knows_its_derivatives() -> None:
 
 def test_a_follower_goes_by_time_and_not_by_updates() -> None:
     target = np.array((0.05, 0.0, 0.0))
-    slow, fast = Follower(20.0), Follower(20.0)
+    slow, fast = Follower(np.zeros(3)), Follower(np.zeros(3))
     for _ in range(30):
         slow.update(target, 0.004)
         for _ in range(4):

@@ -1,0 +1,273 @@
+"""What balance wants of a period, in one kernel: the references, what the tasks want, and the joints' limits.
+
+The pieces are each other's modules: ``reference`` (where CoM, pelvis and chest shall be), ``dcm`` (the law), ``stance``
+(the feet to each other), ``limits``. Here they are put together, with the wishes that need no module of their own:
+orientations by k_p·e − k_d·ω, momentum and feet damped, the swinging sole along its path, the joints' posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from motion_manager.whole_body import stance
+from motion_manager.whole_body.arms import UpperBodyKinematics
+from motion_manager.whole_body.dcm import DcmLaw
+from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
+from motion_manager.whole_body.kernel import Expression, Kernel
+from motion_manager.whole_body.limits import JointLimits
+from motion_manager.whole_body.pelvis import PelvisReference
+from motion_manager.whole_body.reference import Begun, Feet, Led, StandReference
+from motion_manager.whole_body.set_points import SetPoints
+from motion_manager.whole_body.state import FloatArray, RobotState, UpperBodyReference
+from motion_manager.whole_body.walking.gait import Gait
+from valor_common.robot import RobotDescription
+
+CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up for a distant reference at most
+
+_STATE = (6, 18, 3, 3, 3, 24, 9, 9)  # soles' places and rotations, CoM, DCM, pelvis' velocity, of tasks, rotations
+_MEMORY = (1, 3, 9, 9, 3, 3)  # of ``Begun``, then the law's integral, then the stance that is kept
+_SWING = (3, 9, 6, 6)  # of ``SwingPoint``
+
+
+class Wishes:
+    """What is wanted.
+
+    Attributes:
+        acceleration: (24,) of the tasks' rows, as in ``dynamics``.
+        posture: (nj,) of the joints [rad/s²].
+        lower, upper: (nj,) limits of the joints' accelerations [rad/s²].
+        velocity: (nj,) of the joints, as the QP's accelerations change it [rad/s].
+        dcm: (3,) reference [m].
+        shift: (3,) of the DCM's reference, that the arms are not nominal [m].
+        centre_dcm, centre_vrp: (3,) references of a robot with nominal arms [m].
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        joints: ModelJoints,
+        *,
+        law: DcmLaw,
+        upper_body: UpperBodyKinematics,
+        pelvis: PelvisReference,
+        legs: npt.NDArray[np.intp],
+        set_points: SetPoints,
+    ) -> None:
+        """Build the kernel.
+
+        Args:
+            robot: its tables.
+            joints: of the model.
+            law: of the DCM.
+            upper_body: at the commanded posture.
+            pelvis: as it is led.
+            legs: which of the model's joints are the legs'.
+            set_points: of the joints.
+        """
+        nj = joints.count
+        self._table, self._walking, self._law = robot.tables.whole_body, robot.tables.walking, law
+        self._places, self._legs = joints.places, legs.tolist()
+        self._integrated = set_points.integrated
+        self._pelvis, self._upper_body = pelvis, upper_body
+        self._reference = StandReference(robot, law.omega, upper_body.nominal_com_height)
+        self._limits = JointLimits(robot, self._table, joints.places)
+        self._catch_up = ca.DM(CATCH_UP * robot.velocity_limit[joints.places])
+        self._state = np.zeros(sum(_STATE))
+        self._memory, self._next = np.zeros(sum(_MEMORY)), np.zeros(sum(_MEMORY))
+        self._led = np.zeros(15)
+        self._legs_led, self._legs_start = np.zeros(len(self._legs)), np.zeros(len(self._legs))
+        self._gait = np.zeros(7)  # whether it steps, DCM, VRP
+        self._swing = np.zeros(2 + sum(_SWING))  # which foot swings, then where it shall be
+        self._asked = np.zeros((3, nj))
+        self._measured = np.zeros((2, nj))
+        self._dt = np.zeros(1)
+        self.acceleration, self.posture = np.zeros(ROWS), np.zeros(nj)
+        self.lower, self.upper, self.velocity = np.zeros(nj), np.zeros(nj), np.zeros(nj)
+        self._told = np.zeros((4, 3))
+        self.dcm = self.shift = self.centre_dcm = self.centre_vrp = np.zeros(3)
+        self._evaluate = Kernel(
+            "wishes",
+            self._expressions,
+            (
+                self._state,
+                self._memory,
+                self._led,
+                upper_body.com,
+                upper_body.chest_rotation(),
+                self._legs_led,
+                self._legs_start,
+                self._gait,
+                self._swing,
+                self._asked,
+                self._measured,
+                set_points.position,
+                set_points.velocity,
+                self._dt,
+            ),
+            (
+                self._next,
+                self._told,
+                self.acceleration,
+                self.posture,
+                self.lower,
+                self.upper,
+                self.velocity,
+            ),
+        )
+
+    @property
+    def integral(self) -> FloatArray:
+        """(3,) of the DCM law [m]."""
+        return self._memory[22:25].copy()
+
+    def reset(self, state: RobotState) -> None:
+        """Begin from ``state``; ``upper_body`` is at its posture."""
+        pelvis = self._pelvis
+        pelvis.reset()
+        feet = Feet(ca.DM(state.sole_positions_in_odom), ca.DM(state.sole_rotations_in_odom.reshape(6, 3)))
+        led = Led(
+            ca.DM(pelvis.rotation),
+            ca.DM(pelvis.angular_velocity),
+            ca.DM(pelvis.com_displacement),
+            ca.DM(self._upper_body.com_displacement()),
+            ca.DM(self._upper_body.chest_rotation()),
+        )
+        begun = self._reference.begin(
+            feet,
+            led,
+            ca.DM(state.com_in_odom),
+            ca.DM(state.pelvis_rotation_in_odom),
+            ca.DM(state.dynamics.chest_rotation),
+        )
+        self._memory[:] = np.array(ca.vertcat(_numbers(begun), ca.DM.zeros(3), stance.stance(feet)))[:, 0]
+        self._legs_start[:] = state.joint_position[self._places][self._legs]
+
+    def update(self, state: RobotState, gait: Gait, reference: UpperBodyReference, dt: float) -> None:
+        """A period.
+
+        Args:
+            state: the estimate.
+            gait: as it is.
+            reference: of waist and arms.
+            dt: since the last period [s].
+        """
+        dynamics, pelvis = state.dynamics, self._pelvis
+        np.concatenate(
+            (
+                state.sole_positions_in_odom.ravel(),
+                state.sole_rotations_in_odom.ravel(),
+                state.com_in_odom,
+                state.dcm_in_odom,
+                state.pelvis_linear_velocity_in_odom,
+                dynamics.task_velocity,
+                dynamics.chest_rotation.ravel(),
+                dynamics.rotation.ravel(),
+            ),
+            out=self._state,
+        )
+        np.concatenate((pelvis.rotation.ravel(), pelvis.angular_velocity, pelvis.com_displacement), out=self._led)
+        self._legs_led[:] = pelvis.legs
+        self._gait[0] = gait.active
+        if gait.active:
+            self._gait[1:4], self._gait[4:] = gait.dcm, gait.vrp
+        self._swing[0], self._swing[1] = gait.swinging == 0, gait.swinging == 1
+        if gait.swinging is not None:
+            point = gait.swing
+            np.concatenate(
+                (point.position, point.rotation.ravel(), point.velocity, point.acceleration), out=self._swing[2:]
+            )
+        asked, measured, places = self._asked, self._measured, self._places
+        asked[0], asked[1], asked[2] = (
+            reference.position[places],
+            reference.velocity[places],
+            reference.acceleration[places],
+        )
+        measured[0], measured[1] = dynamics.joint_position, dynamics.joint_velocity
+        self._dt[0] = dt
+        self._evaluate()
+        self._memory[:] = self._next
+        self.dcm, self.shift, self.centre_dcm, self.centre_vrp = self._told.copy()
+
+    def _expressions(self, *symbols: Expression) -> Sequence[Expression]:
+        state, memory, led, arms_com, chest, legs_led, legs_start, gait, swing, asked, measured, *own, dt = symbols
+        position, velocity = own
+        soles, rotations, com, dcm, moving, rates, *turned = _split(state, _STATE)
+        feet = Feet(_rows(soles), _rows(rotations))
+        time, support, shift, offsets, integral, kept = _split(memory, _MEMORY)
+        begun = Begun(time, support, _rows(shift), _rows(offsets))
+        turn, turning, com_led = _split(led, (9, 3, 3))
+        leading = Led(_rows(turn), turning, com_led, arms_com - ca.DM(self._upper_body.nominal_com), chest)
+        begun, reference = self._reference.advance(begun, feet, leading, (gait[0], gait[1:4], gait[4:]), dt)
+
+        table = self._table
+        velocities = rates + _with_pelvis(moving)
+        wanted = ca.SX(ROWS, 1)
+        wanted[MOMENTUM] = -table.angular_momentum_gain * velocities[MOMENTUM]
+        point, integral = self._law.repellent_point(dcm, reference.dcm, reference.vrp, integral, dt)
+        wanted[COM] = self._law.acceleration(com, point)
+        for rows, desired, actual in ((CHEST, reference.chest, turned[0]), (PELVIS, reference.pelvis, turned[1])):
+            wanted[rows] = table.orientation_stiffness * _error(desired, _rows(actual))
+            wanted[rows] += table.orientation_damping * (reference.turning - velocities[rows])
+        wanted[SOLES] = -table.foot_damping * velocities[SOLES]
+        kept = ca.if_else(gait[0], stance.stance(feet), kept)  # that of the last step
+        wanted[SOLES] += ca.if_else(gait[0], 0.0, stance.hold(feet, kept, table.stance_stiffness))
+        for foot in range(2):
+            rows = sole_rows(foot)
+            along = self._along(foot, feet, swing[2:], velocities[rows])
+            wanted[rows] = ca.if_else(swing[foot], along, wanted[rows])
+
+        integrated = ca.DM(self._integrated.astype(float))
+        position = ca.if_else(integrated, position, measured[0, :].T)
+        velocity = ca.if_else(integrated, velocity, measured[1, :].T)
+        lower, upper = self._limits.acceleration(position, velocity)
+        told = ca.horzcat(reference.dcm, reference.shift, reference.centre_dcm, reference.centre_vrp).T
+        legs = legs_start + reference.legs_blend * (legs_led - legs_start)
+        posture = self._posture(asked, legs, position, velocity)
+        return ca.vertcat(_numbers(begun), integral, kept), told, wanted, posture, lower, upper, velocity
+
+    def _along(self, foot: int, feet: Feet, swing: Expression, velocity: Expression) -> Expression:
+        """(6,) of the swinging sole: a_ref + k_p·(x_ref − x) + k_d·(v_ref − v)."""
+        place, turn, rate, acceleration = _split(swing, _SWING)
+        away = place - feet.positions[foot, :].T
+        turned = _error(_rows(turn), feet.rotations[3 * foot : 3 * foot + 3, :])
+        stiffness, damping = self._walking.foot_stiffness, self._walking.foot_damping
+        return acceleration + stiffness * ca.vertcat(away, turned) + damping * (rate - velocity)
+
+    def _posture(self, asked: Expression, legs: Expression, position: Expression, velocity: Expression) -> Expression:
+        """(nj,) q̈_ref + k_d·(q̇_ref + clip(k_p/k_d·(q_ref − q)) − q̇)."""
+        stiffness, damping = self._table.posture_stiffness, self._table.posture_damping
+        places, rate, acceleration = (ca.SX(asked[i, :].T) for i in range(3))
+        places[self._legs], rate[self._legs], acceleration[self._legs] = legs, 0.0, 0.0
+        catch_up = ca.fmax(ca.fmin(stiffness / damping * (places - position), self._catch_up), -self._catch_up)
+        return acceleration + damping * (rate + catch_up - velocity)
+
+
+def _split(numbers: Expression, sizes: Sequence[int]) -> list[Expression]:
+    """Columns of these sizes."""
+    return list(ca.vertsplit(numbers, np.cumsum((0, *sizes)).tolist()))
+
+
+def _rows(numbers: Expression) -> Expression:
+    """(3k,) numbers as a matrix with rows of three."""
+    return ca.reshape(numbers, 3, numbers.shape[0] // 3).T
+
+
+def _numbers(begun: Begun) -> Expression:
+    """(22,) numbers, one field after another, row by row."""
+    return ca.vertcat(*(ca.vec(field.T) for field in begun))
+
+
+def _with_pelvis(velocity: Expression) -> Expression:
+    """(24,) what the pelvis' linear velocity (3,) adds to the tasks' velocities."""
+    still = ca.SX.zeros(3)
+    return ca.vertcat(velocity, still, still, still, velocity, still, velocity, still)
+
+
+def _error(desired: Expression, actual: Expression) -> Expression:
+    """(3,) rotation from ``actual`` to ``desired`` in the axes both are given in: sin(θ)·axis [rad]."""
+    e = desired @ actual.T
+    return 0.5 * ca.vertcat(e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1])
