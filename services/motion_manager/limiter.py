@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression, Kernel
 from valor_common.robot import FloatVector, RobotDescription
 
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
@@ -39,6 +43,8 @@ class Limiter:
         self.position = np.clip(np.zeros(n), lower, upper)
         self.velocity = np.zeros(n)
         self.acceleration = np.zeros(n)
+        self._asked, self._dt, self._next = np.zeros((4, n)), np.zeros(1), np.zeros((3, n))
+        self._evaluate = Kernel("limiter", self._expressions, (self._asked, self._dt), (self._next,))
 
     def reset(self, joints: npt.NDArray[np.bool_], position: FloatVector) -> None:
         """Take some up, at rest, where they are found.
@@ -70,25 +76,30 @@ class Limiter:
             target_velocity: (n,) how fast the target itself moves [1/s].
             dt: the period [s].
         """
-        # np.minimum and np.maximum: np.clip costs five times as much on vectors this short.
-        brake, half_step, now = self._brake, (0.5 * dt) * self._brake, self.position
-        target = np.maximum(np.minimum(target, self._upper), self._lower)
-        error = target - target_velocity * dt - now
-        distance = np.abs(error)
+        np.concatenate((target, target_velocity, self.position, self.velocity), out=self._asked.reshape(-1))
+        self._dt[0] = dt
+        self._evaluate()
+        self.position, self.velocity, self.acceleration = self._next.copy()
+
+    def _expressions(self, asked: Expression, dt: Expression) -> Sequence[Expression]:
+        target, target_velocity, now, before = (asked[i, :].T for i in range(4))
+        lower, upper, highest = ca.DM(self._lower), ca.DM(self._upper), ca.DM(self.velocity_limit)
+        brake, step = ca.DM(self._brake), ca.DM(self.acceleration_limit) * dt
+        half_step = 0.5 * dt * brake
+        error = _between(target, lower, upper) - target_velocity * dt - now
+        distance = ca.fabs(error)
         # The greatest speed of approach from which braking in steps of dt still ends on the target.
-        approach = np.minimum(_braking_speed(distance, brake, half_step), distance / dt)
-        velocity = target_velocity + np.copysign(approach, error)
+        approach = ca.fmin(_braking_speed(distance, brake, half_step), distance / dt)
+        velocity = target_velocity + ca.copysign(approach, error)
         # Likewise for the position limits.
-        up = _braking_speed(np.maximum(self._upper - now, 0.0), brake, half_step)
-        down = _braking_speed(np.maximum(now - self._lower, 0.0), brake, half_step)
-        highest, step = self.velocity_limit, self.acceleration_limit * dt
-        velocity = np.minimum(np.minimum(velocity, up), highest)
-        velocity = np.maximum(np.maximum(velocity, -down), -highest)
-        velocity = np.maximum(np.minimum(velocity, self.velocity + step), self.velocity - step)
-        position = self._within_limits(now + velocity * dt)
+        up = _braking_speed(ca.fmax(upper - now, 0.0), brake, half_step)
+        down = _braking_speed(ca.fmax(now - lower, 0.0), brake, half_step)
+        velocity = ca.fmin(ca.fmin(velocity, up), highest)
+        velocity = ca.fmax(ca.fmax(velocity, -down), -highest)
+        velocity = _between(velocity, before - step, before + step)
+        position = _between(now + velocity * dt, ca.fmin(lower, now), ca.fmax(upper, now))
         velocity = (position - now) / dt
-        self.acceleration = (velocity - self.velocity) / dt
-        self.position, self.velocity = position, velocity
+        return [ca.horzcat(position, velocity, (velocity - before) / dt).T]
 
 
 class JointLimiter(Limiter):
@@ -100,12 +111,15 @@ class JointLimiter(Limiter):
         )
 
 
-def _braking_speed(distance: FloatVector, brake: FloatVector, half_step: FloatVector) -> FloatVector:
+def _between(value: Expression, lower: Expression, upper: Expression) -> Expression:
+    return ca.fmax(ca.fmin(value, upper), lower)
+
+
+def _braking_speed(distance: Expression, brake: Expression, half_step: Expression) -> Expression:
     """Greatest speed from which steps of equal deceleration cover no more than a distance.
 
     ``half_step`` is half of what one step brakes, a·Δt/2.
 
     v·(v + a·Δt) / (2a) = d, solved for v: the sum of v·Δt, (v − a·Δt)·Δt, … down to rest.
     """
-    speed: FloatVector = np.sqrt(half_step * half_step + 2.0 * brake * distance) - half_step
-    return speed
+    return ca.sqrt(half_step * half_step + 2.0 * brake * distance) - half_step

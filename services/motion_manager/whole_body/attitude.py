@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from motion_manager.kernel import Expression
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.kernel import Expression
 from motion_manager.whole_body.rotation import Quaternion, Vector
 
 LARGEST_LEVEL = 0.03  # that an IMU's level is believed to be off about an axis [rad]

@@ -18,7 +18,7 @@ from math import sqrt
 
 import casadi as ca
 
-from motion_manager.whole_body.kernel import Expression
+from motion_manager.kernel import Expression
 
 
 @dataclass(frozen=True, slots=True)

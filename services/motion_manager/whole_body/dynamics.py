@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression, Kernel, parts
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.kernel import Expression, Kernel, parts
 from motion_manager.whole_body.rotation import Quaternion
 from motion_manager.whole_body.state import FloatArray
 from valor_common.model import Indices, Model

@@ -26,13 +26,13 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression, Kernel, parts
 from motion_manager.whole_body import attitude, foot_contact, rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.attitude import Attitude
 from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
 from motion_manager.whole_body.foot_contact import FootContact, FootSense, Past
-from motion_manager.whole_body.kernel import Expression, Kernel, parts
 from motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
 from motion_manager.whole_body.state import RobotState
 from valor_common.messages import Proprioceptor

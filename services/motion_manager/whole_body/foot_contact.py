@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from motion_manager.whole_body.kernel import Expression
+from motion_manager.kernel import Expression
 from valor_common.robot import Foot
 
 SURPRISE_TIME = 0.02  # over which surprise is averaged, so that noise alone is none [s]

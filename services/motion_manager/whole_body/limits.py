@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from motion_manager.whole_body.kernel import Expression
+from motion_manager.kernel import Expression
 from valor_common.model import Indices
 from valor_common.robot import RobotDescription, WholeBody
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from motion_manager.whole_body.kernel import Expression
+from motion_manager.kernel import Expression
 from valor_common.robot import Estimator
 
 POSITION, VELOCITY, BIAS, FEET = 0, 1, 2, 3

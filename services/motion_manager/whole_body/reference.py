@@ -13,8 +13,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from motion_manager.kernel import Expression
 from motion_manager.whole_body import rotation
-from motion_manager.whole_body.kernel import Expression
 from valor_common.robot import RobotDescription
 
 

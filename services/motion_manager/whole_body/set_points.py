@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body.dynamics import ModelJoints
-from motion_manager.whole_body.kernel import Expression, Kernel
 from motion_manager.whole_body.state import FloatArray
 from valor_common.robot import RobotDescription
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from motion_manager.whole_body.kernel import Expression
+from motion_manager.kernel import Expression
 from motion_manager.whole_body.reference import Feet
 
 

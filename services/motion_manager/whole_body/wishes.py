@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body import stance
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
-from motion_manager.whole_body.kernel import Expression, Kernel
 from motion_manager.whole_body.limits import JointLimits
 from motion_manager.whole_body.pelvis import PelvisReference
 from motion_manager.whole_body.reference import Begun, Feet, Led, StandReference

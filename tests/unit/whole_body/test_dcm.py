@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.kernel import Expression, Kernel
 from motion_manager.whole_body.reference import followed, minimum_jerk
 from valor_common.model import Model
 from valor_common.robot import RobotDescription

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body import FloatingBaseEstimator, RobotState, rotation
 from motion_manager.whole_body.attitude import LARGEST_LEVEL, Attitude
 from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.kernel import Expression, Kernel
 from motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, Odometry
 from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motion_manager.whole_body.kernel import Kernel
+from motion_manager.kernel import Kernel
 from motion_manager.whole_body.limits import JointLimits
 from tests.unit.whole_body.closed_loop import load_robot
 

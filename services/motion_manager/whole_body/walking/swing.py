@@ -250,7 +250,7 @@ class SwingTrajectory:
         peel = rotation.from_rotation_vector(angle * self._axis)
         spin = rate * self._axis
         carried = peel @ motion[1, 3:]
-        motion[2, 3:] = acceleration * self._axis + peel @ motion[2, 3:] + np.cross(spin, carried)
+        motion[2, 3:] = acceleration * self._axis + peel @ motion[2, 3:] + rotation.cross(spin, carried)
         motion[1, 3:] = spin + carried
         result: FloatArray = peel @ turned
         return result

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from motion_manager.whole_body.state import FloatArray
+from valor_common.robot import FloatVector
 
 Expression = Any
 """A ``casadi.SX``, for which there are no types."""
@@ -28,8 +28,8 @@ class Kernel:
         self,
         name: str,
         expressions: Callable[..., Sequence[Expression]],
-        inputs: Sequence[FloatArray],
-        outputs: Sequence[FloatArray],
+        inputs: Sequence[FloatVector],
+        outputs: Sequence[FloatVector],
     ) -> None:
         """Build the expressions and bind them to the arrays.
 
@@ -70,7 +70,7 @@ class Kernel:
         self._evaluate()
 
 
-def _shape(array: FloatArray) -> tuple[int, int]:
+def _shape(array: FloatVector) -> tuple[int, int]:
     """Rows and columns as a matrix."""
     if array.ndim < 2:
         return array.size, 1
