@@ -21,7 +21,7 @@ from bifrost.publisher import Publisher
 from bifrost.schema import Schema, type_from_schema
 from bifrost.server import Server
 from bifrost.subscriber import Received, Subscriber
-from bifrost.waiting import wait
+from bifrost.waiting import Poller, wait
 
 __all__ = [
     "Client",
@@ -37,6 +37,7 @@ __all__ = [
     "Network",
     "NoServerError",
     "Node",
+    "Poller",
     "Publisher",
     "Received",
     "RemoteError",

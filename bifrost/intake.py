@@ -59,7 +59,7 @@ class Stream:
         self.stamp = -(2**63)
 
 
-Checked = tuple[int, int, bytes, Stream]  # stamp, sequence, frame
+Checked = tuple[int, int, bytes, Stream, int]  # stamp, sequence, frame, its publisher, when it was taken in [ns]
 _NOBODY = Stream(b"\0", b"\0", lambda _: None)  # no topic begins so
 
 
@@ -182,7 +182,8 @@ class Intake:
             if last and sequence - last > (stamp - stream.stamp) // _QUICKEST + _BURST:
                 self._reject("a sequence that is too far ahead")
                 return None
-        if stamp < stream.stamp or (self._one_clock and stamp > monotonic_ns() + _FUTURE):
+        now = monotonic_ns()
+        if stamp < stream.stamp or (self._one_clock and stamp > now + _FUTURE):
             self._reject("a stamp older than the one before, or of the future")
             return None
         if not frame.startswith(stream.origin, self._length):
@@ -193,7 +194,7 @@ class Intake:
         stream.sequence, stream.stamp = sequence, stamp
         self.messages += 1
         self.bytes_received += len(frame)
-        return stamp, sequence, frame, stream
+        return stamp, sequence, frame, stream, now
 
     def _new_stream(self, frame: bytes) -> Stream | None:
         """The first message of a publisher: what its next ones are compared with; None if this is no message."""

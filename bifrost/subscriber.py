@@ -31,12 +31,14 @@ class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
         stamp: when it was published, by the monotonic clock of the publisher's computer [ns].
         sequence: the publisher's count, from 1.
         origin: name of the node that published it.
+        arrived: when it was taken from the network, before it was decoded, by the own monotonic clock [ns].
     """
 
     message: M
     stamp: int
     sequence: int
     origin: str
+    arrived: int = 0
 
 
 class Subscriber(Generic[M]):
@@ -215,14 +217,14 @@ class Subscriber(Generic[M]):
         return None
 
     def _decode(self, checked: Checked) -> Received[M] | None:
-        stamp, sequence, frame, stream = checked
+        stamp, sequence, frame, stream, arrived = checked
         try:
             content = frame[stream.payload :] if len(frame) < _SMALL else memoryview(frame)[stream.payload :]
             message = stream.decode(content)
         except (ValueError, msgspec.DecodeError, RecursionError):  # ValueError: also of text and of arrays
             self._undecodable += 1
             return None
-        return Received(message, stamp, sequence, stream.name)
+        return Received(message, stamp, sequence, stream.name, arrived)
 
 
 AnySubscriber = Subscriber[Message]

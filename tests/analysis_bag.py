@@ -77,7 +77,7 @@ def simulate(robot: RobotDescription) -> Iterator[tuple[Topic, Message]]:
             pelvis_linear_velocity_variance=np.zeros(3), hand_contacts=np.zeros(2, dtype=np.uint8),
             left_arm="setpoints", right_arm="setpoints", joint_setpoint=reference, pelvis_setpoint=np.zeros(6),
             pelvis_in_support=np.zeros(6), desired_foot_forces=np.zeros(2),
-            qp_status=1, qp_failures=0, torque_saturations=0, tick_time=0.0,
+            qp_status=1, qp_failures=0, torque_saturations=0, motor_time=0.0, tick_time=0.0,
         )  # fmt: skip
         if free:
             yield JOINT_SETPOINTS, JointSetpoints(

@@ -152,7 +152,8 @@ class MotionState(Message):
     qp_status: int  # 0 not run, 1 optimal, 2 re-solved with torque limits, -1 infeasible (last feasible with damping)
     qp_failures: int  # since start
     torque_saturations: int  # joint commands clamped by effort limits, since start
-    tick_time: float  # of this tick, from Proprioceptor received to Motor sent [s]
+    motor_time: float  # of this tick, from Proprioceptor at the socket, not yet decoded, to Motor sent [s]
+    tick_time: float  # of the tick before, from Proprioceptor at the socket to everything done that a tick does [s]
 
 
 class Rejection(Message):

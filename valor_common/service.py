@@ -89,6 +89,7 @@ class StatisticsPublisher:
         self._state, self._detail = "starting", ""
         self._cycles = self._overruns = 0
         self.drops = self.rejected = 0
+        self._count: Callable[[], tuple[int, int]] | None = None
         self._last_cycle = 0.0
         self._reset(time.perf_counter())
 
@@ -107,6 +108,10 @@ class StatisticsPublisher:
     def ready(self) -> bool:
         """Whether the service has said that it is ready."""
         return self._state == "ready"
+
+    def count(self, counts: Callable[[], tuple[int, int]]) -> None:
+        """Ask for ``rejected`` and ``drops`` when they are told, so that a loop need not sum them up every cycle."""
+        self._count = counts
 
     def cycle(self, began: float, waited: float = 0.0) -> None:
         """Count a cycle that began at ``began`` [``time.perf_counter()``, s] and ends now.
@@ -148,6 +153,8 @@ class StatisticsPublisher:
             self._publisher.publish(self._newest)
 
     def _publish(self, now: float) -> None:
+        if self._count is not None:
+            self.rejected, self.drops = self._count()
         cycles = max(1, self._window_cycles)
         cpu_time = time.process_time()
         self._newest = Statistics(

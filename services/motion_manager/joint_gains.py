@@ -59,6 +59,8 @@ class JointGains:
     def advance(self) -> bool:
         """Go one control period; returns whether they changed."""
         present = (self.stiffness, self.damping)
+        if present[0] is self._asked[0] and present[1] is self._asked[1]:
+            return False  # nearly always
         if all(now is asked or np.array_equal(now, asked) for now, asked in zip(present, self._asked, strict=True)):
             return False
         self.stiffness, self.damping = (

@@ -394,8 +394,8 @@ class MotionManager:
 
     # --- what is reported -----------------------------------------------------------------------------------------
 
-    def report(self, tick_time: float) -> MotionState:
-        """What the Motion Manager did and believes, after a tick that took ``tick_time`` [s]."""
+    def report(self, motor_time: float = 0.0, tick_time: float = 0.0) -> MotionState:
+        """What the Motion Manager did and believes; the times are those that ``MotionState`` has fields for [s]."""
         fsm, state, command = self.fsm, self._state, self._whole_body
         zeros = self._zeros
         return MotionState(
@@ -429,6 +429,7 @@ class MotionManager:
             qp_status=int(command.qp_status if command else QpStatus.NOT_RUN),
             qp_failures=self._controller.qp_failures,
             torque_saturations=self._command.saturations,
+            motor_time=motor_time,
             tick_time=tick_time,
         )
 

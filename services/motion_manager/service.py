@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+import bifrost
 from motion_manager.hand_goals import SIDES
 from motion_manager.manager import MotionManager
 from valor_common.messages import (
@@ -29,6 +32,8 @@ from valor_common.messages import (
     VelocityCommand,
 )
 from valor_common.model import controller_model
+from valor_common.priority import take_real_time
+from valor_common.processes import BY_NAME
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import (
     BALANCE_WEIGHTS,
@@ -81,9 +86,6 @@ class MotionManagerService:
         self._hand_status_due = 0
         self._gains = node.subscriber(JOINT_GAINS.name, JointGains, queue=DEMAND_QUEUE)
         self._weights = node.subscriber(BALANCE_WEIGHTS.name, BalanceWeights, queue=DEMAND_QUEUE)
-        self._inputs = (
-            self._setpoints, self._velocity, self._pelvis, self._hand_goal, self._gains, self._weights,
-        )  # fmt: skip
         self._behavior = node.server(
             BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle
         )
@@ -91,38 +93,59 @@ class MotionManagerService:
             FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle
         )
         self._devices = node.subscriber(DEVICES.name, DeviceStatus)
+        self._takes: dict[bifrost.Subscriber[Any], Callable[[], None]] = {
+            self._setpoints: self._take_setpoints,
+            self._velocity: self._take_velocities,
+            self._pelvis: self._take_pelvis,
+            self._hand_goal: self._take_hand_goals,
+            self._gains: self._take_gains,
+            self._weights: self._take_weights,
+        }
+        self._commands = bifrost.Poller(tuple(self._takes))
+        self._serves: dict[bifrost.Server[Any, Any] | bifrost.Subscriber[Any], Callable[[], object]] = {
+            self._behavior: self._behavior.serve,
+            self._footstep_plan: self._footstep_plan.serve,
+            self._devices: self._hear_devices,
+        }
+        self._requests = bifrost.Poller(tuple(self._serves))
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
         self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
         self._changes = self._manager.fsm.changes
         self._step_status_due = 0
         self._step_changes = 0
+        self._tick_time = 0.0  # of the last tick [s]
+        self._statistics.count(self._counts)
 
     def run(self) -> None:
         """Answer every Proprioceptor until told to stop."""
         quiet_collector()
+        if take_real_time(BY_NAME[self._context.name].real_time):
+            _log.info("the loop runs in real time")
         np.seterr(all="ignore")  # what is not finite is looked for and dealt with where it matters
         self._wait_for_robot(f"no {PROPRIOCEPTOR.name} yet")
-        heard = time.perf_counter()
+        heard = time.monotonic()
         while not self._context.stopping.is_set():
             received = self._proprioceptor.receive(NAP)
-            began = time.perf_counter()
             if received is not None and received.origin != PROPRIOCEPTOR.publisher:
                 # A bag played back into a running system must not be taken for the robot.
                 reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.publisher}"
                 self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
             elif received is not None:
-                heard = began
+                heard = began = received.arrived * 1e-9
                 self._tick(received.message, began)
                 self._attend()
                 self._statistics.cycle(began)
+                self._tick_time = time.monotonic() - began
                 continue
-            if began - heard > SILENCE:
+            if time.monotonic() - heard > SILENCE:
                 self._wait_for_robot(f"{PROPRIOCEPTOR.name} is silent: is the Comms Manager running?")
             self._attend()
             self._statistics.idle()
 
     def close(self) -> None:
-        """Nothing: the node belongs to the context."""
+        """The node itself belongs to the context."""
+        self._commands.close()
+        self._requests.close()
 
     def _wait_for_robot(self, why: str) -> None:
         """Say that no robot is in our hands."""
@@ -133,20 +156,10 @@ class MotionManagerService:
     def _tick(self, proprioceptor: Proprioceptor, began: float) -> None:
         """One control period: the Motor first."""
         manager = self._manager
-        for received in self._setpoints.drain():
-            manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
-        for command in self._velocity.drain():
-            manager.velocity_handler.handle(command, manager.time)
-        for pelvis in self._pelvis.drain():
-            manager.pelvis_handler.handle(pelvis, manager.time)
-        for goal in self._hand_goal.drain():
-            manager.hand_goal_handler.handle(goal, manager.time)
-        for gains in self._gains.drain():
-            manager.tuning_handler.handle_gains(gains)
-        for weights in self._weights.drain():
-            manager.tuning_handler.handle_weights(weights)
+        for subscriber in self._commands.look():
+            self._takes[subscriber]()
         self._motor.publish(manager.tick(proprioceptor))
-        self._motion_state.publish(manager.report(time.perf_counter() - began))
+        self._motion_state.publish(manager.report(time.monotonic() - began, self._tick_time))
         if manager.in_control and manager.silent:
             manager.silent = ""
             self._statistics.state("ready")
@@ -154,10 +167,8 @@ class MotionManagerService:
     def _attend(self) -> None:
         """What may wait until the Motor has left: requests, reports, counts."""
         manager = self._manager
-        if (devices := self._devices.latest()) is not None and devices.origin == DEVICES.publisher:
-            manager.device_reactions.hear(devices.message)
-        self._behavior.serve()
-        self._footstep_plan.serve()
+        for item in self._requests.look():
+            self._serves[item]()
         for rejection in manager.rejections.take():
             self._rejection.publish(rejection)
         changed = manager.footstep_handler.changes != self._step_changes
@@ -169,14 +180,50 @@ class MotionManagerService:
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes
             _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
-        self._statistics.rejected = (
+
+    def _counts(self) -> tuple[int, int]:
+        """What was refused and what was missed, since start."""
+        manager = self._manager
+        rejected = (
             manager.rejections.total
-            + sum(subscriber.rejected for subscriber in self._inputs)
+            + sum(subscriber.rejected for subscriber in self._takes)
             + self._proprioceptor.rejected
             + self._behavior.rejected
             + self._footstep_plan.rejected
         )
-        self._statistics.drops = manager.missed + sum(subscriber.drops for subscriber in self._inputs)
+        return rejected, manager.missed + sum(subscriber.drops for subscriber in self._takes)
+
+    # --- what comes in, handed to those that check it -------------------------------------------------------------
+
+    def _take_setpoints(self) -> None:
+        manager = self._manager
+        for received in self._setpoints.drain():
+            manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
+
+    def _take_velocities(self) -> None:
+        for received in self._velocity.drain():
+            self._manager.velocity_handler.handle(received, self._manager.time)
+
+    def _take_pelvis(self) -> None:
+        for received in self._pelvis.drain():
+            self._manager.pelvis_handler.handle(received, self._manager.time)
+
+    def _take_hand_goals(self) -> None:
+        for received in self._hand_goal.drain():
+            self._manager.hand_goal_handler.handle(received, self._manager.time)
+
+    def _take_gains(self) -> None:
+        for received in self._gains.drain():
+            self._manager.tuning_handler.handle_gains(received)
+
+    def _take_weights(self) -> None:
+        for received in self._weights.drain():
+            self._manager.tuning_handler.handle_weights(received)
+
+    def _hear_devices(self) -> None:
+        devices = self._devices.latest()
+        if devices is not None and devices.origin == DEVICES.publisher:
+            self._manager.device_reactions.hear(devices.message)
 
     def _report_hands(self) -> None:
         """On change, and every now and then while a goal leads a hand."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
 
 from valor_common.messages import Proprioceptor
 
@@ -36,7 +39,8 @@ class ProprioceptorWatchdog:
     """
 
     def __init__(self, joints: int) -> None:
-        self._vectors = tuple((name, joints if size is None else size) for name, size in _VECTORS)
+        self._sizes = tuple(joints if size is None else size for _, size in _VECTORS)
+        self._vectors = attrgetter(*(name for name, _ in _VECTORS))
         self._time: int | None = None
         self._sequence = 0
         self.missed = 0
@@ -44,16 +48,18 @@ class ProprioceptorWatchdog:
 
     def fault(self, proprioceptor: Proprioceptor) -> str:
         """What is wrong with a Proprioceptor; an empty text: nothing."""
-        total = 0.0
-        for name, size in self._vectors:
-            vector = getattr(proprioceptor, name)
-            if vector.size != size:
-                return self._malformed(f"{name} has {vector.size} numbers; expected {size}")
-            total += vector.dot(vector)
-        if not math.isfinite(total):
-            for name, _ in self._vectors:
-                if not math.isfinite(float(getattr(proprioceptor, name).dot(getattr(proprioceptor, name)))):
+        vectors = self._vectors(proprioceptor)
+        if tuple(map(len, vectors)) != self._sizes:
+            for (name, _), vector, size in zip(_VECTORS, vectors, self._sizes, strict=True):
+                if len(vector) != size:
+                    return self._malformed(f"{name} has {len(vector)} numbers; expected {size}")
+        # A sum of squares is finite if its terms are: all is looked at in two calls.
+        everything = np.concatenate(vectors)
+        if not math.isfinite(everything.dot(everything)):
+            for (name, _), vector in zip(_VECTORS, vectors, strict=True):
+                if not math.isfinite(vector.dot(vector)):
                     return self._malformed(f"{name} is not finite")
+            return self._malformed("its numbers are too large to be true")
         orientation = proprioceptor.imu_orientation
         if abs(float(orientation.dot(orientation)) - 1.0) > 0.01:
             return self._malformed("imu_orientation is no unit quaternion")

@@ -256,6 +256,75 @@ def test_a_wait_is_ended_from_another_thread_and_no_message_is_lost_by_it(
     assert (subscriber.drops, subscriber.rejected) == (0, 0)
 
 
+def test_a_poller_tells_once_of_each_that_may_have_something(net: BifrostNetwork) -> None:
+    publishing, subscribing = net.node("publishing"), net.node("subscribing")
+    publishers = [publishing.publisher(f"lab/{name}", Sample) for name in ("a", "b")]
+    subscribers = [subscribing.subscriber(f"lab/{name}", Sample, queue=100) for name in ("a", "b")]
+    server = subscribing.server("lab/serve", Sample, Sample, lambda request, origin: request)
+    for publisher, subscriber in zip(publishers, subscribers, strict=True):
+        connected(publisher, subscriber)
+    poller = bifrost.Poller([*subscribers, server])
+    try:
+        assert poller.look() == [*subscribers, server]  # of what came before, nobody tells again
+        server.serve()
+        for subscriber in subscribers:
+            subscriber.drain()
+        until(lambda: poller.look() == [], "nothing more")
+        publishers[1].publish(sample(1))
+        until(lambda: poller.look() == [subscribers[1]], "the second")
+        assert [received.message.count for received in subscribers[1].drain()] == [1]
+        assert poller.look() == []
+        publishers[0].publish(sample(2))
+        answers = []
+        client = publishing.client("lab/serve", Sample, Sample)
+        asking = threading.Thread(target=lambda: answers.append(client.call(sample(3), timeout=20.0)))
+        asking.start()
+        taken = []
+
+        def look() -> bool:
+            for item in poller.look():
+                if item is server:
+                    server.serve()
+                elif isinstance(item, bifrost.Subscriber):
+                    taken.extend(received.message.count for received in item.drain())
+            return taken == [2] and not asking.is_alive()
+
+        until(look, "a message and a request")
+        assert answers == [sample(3)]
+    finally:
+        poller.close()
+
+
+def test_a_loop_that_drains_only_what_its_poller_tells_misses_nothing(net: BifrostNetwork) -> None:
+    subscriber = net.node("subscribing").subscriber("lab/sample", Sample, queue=10_000)
+    poller = bifrost.Poller([subscriber])
+    publisher = net.node("publishing").publisher("lab/sample", Sample)
+    connected(publisher, subscriber)
+    poller.look()
+    subscriber.drain()
+    many, random = 2000, np.random.default_rng(0)
+
+    def publish() -> None:
+        for count in range(many):
+            publisher.publish(sample(count))
+            if random.random() < 0.3:  # single messages and bursts, while the loop reads and while it does not
+                time.sleep(random.random() * 5e-4)
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    taken: list[int] = []
+
+    def look() -> bool:
+        if poller.look():
+            taken.extend(received.message.count for received in subscriber.drain())
+        return len(taken) >= many
+
+    until(look, "all")
+    publishing.join()
+    poller.close()
+    assert taken == list(range(many))
+
+
 def test_the_descriptor_serves_an_event_loop(net: BifrostNetwork) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
     subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=1000)

@@ -97,7 +97,7 @@ class ScriptedMotionManager:
                 pelvis_orientation_variance=three, pelvis_linear_velocity_variance=three,
                 hand_contacts=np.zeros(2, dtype=np.uint8), left_arm="", right_arm="", joint_setpoint=np.zeros(38),
                 pelvis_setpoint=np.zeros(6), pelvis_in_support=np.zeros(6), desired_foot_forces=np.zeros(2),
-                qp_status=1, qp_failures=0, torque_saturations=0, tick_time=0.0,
+                qp_status=1, qp_failures=0, torque_saturations=0, motor_time=0.0, tick_time=0.0,
             )  # fmt: skip
             self._state.publish(state)
 

@@ -207,6 +207,13 @@ def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(instan
     assert (steps <= ROBOT.velocity_limit[arms] * elapsed * 1.05 + 1e-6).all()
     sequences = [state.proprioceptor_sequence for state in system.history]
     assert sequences == sorted(sequences)
+    # What is told of a tick contains the part until its Motor, which the MotionState before told.
+    pairs = [
+        (before.motor_time, state.tick_time)
+        for before, state in zip(system.history, system.history[1:], strict=False)
+        if state.proprioceptor_sequence == before.proprioceptor_sequence + 1
+    ]
+    assert len(pairs) > 100 and all(0.0 < motor_time < tick_time for motor_time, tick_time in pairs)
 
 
 def test_stand_prep_answers_why_stand_is_refused(instance: RunningInstance) -> None:

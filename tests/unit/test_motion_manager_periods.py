@@ -350,6 +350,15 @@ def test_broken_proprioceptors_in_a_row_are_a_fall(standing: Robot, changes: dic
     assert not motor.effort.any()
 
 
+def test_numbers_whose_squares_are_finite_but_not_their_sum_are_refused(standing: Robot) -> None:
+    large = np.full(N, np.sqrt(1e308 / N))
+    standing.tick(joint_velocity=large, joint_effort=large)
+    (rejection,) = standing.manager.rejections.take()
+    assert "too large" in rejection.reason
+    standing.run(0.1)
+    assert standing.behavior is Behavior.STAND
+
+
 def test_a_robot_that_never_makes_sense_is_never_in_control(robot: Robot) -> None:
     for _ in range(50):
         motor = robot.tick(joint_position=np.full(N, np.nan))

@@ -1,0 +1,42 @@
+"""Control loops in real time, where the system grants it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+# In a process of its own: nobody wants the test runner in real time.
+_LOOP = """
+import os, sys, threading
+from valor_common.priority import take_real_time
+
+ended, ready = threading.Event(), threading.Event()
+thread = threading.Thread(target=lambda: (ready.set(), ended.wait()))
+thread.start()
+ready.wait()
+granted = take_real_time(int(sys.argv[1]))
+for each in (threading.get_native_id(), thread.native_id):
+    print(granted, os.sched_getscheduler(each) == os.SCHED_FIFO, os.sched_getparam(each).sched_priority)
+ended.set()
+"""
+
+
+def _granted() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(3))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+@pytest.mark.parametrize("priority", [0, 3])
+def test_a_loop_goes_first_and_its_other_threads_next_or_all_stay_as_they_are(priority: int) -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", _LOOP, str(priority)], capture_output=True, text=True, check=True, timeout=60.0
+    )
+    expected = ["True True 3", "True True 2"] if priority and _granted() else ["False False 0"] * 2
+    assert result.stdout.splitlines() == expected
