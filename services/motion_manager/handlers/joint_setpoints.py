@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from motion_manager.joint_reference import Setpoint
 from motion_manager.rejections import Rejections
 from motion_manager.upper_body import UpperBody
 from valor_common.messages import JointSetpoints
-from valor_common.robot import RobotDescription
+from valor_common.robot import FloatVector, RobotDescription
 from valor_common.topics import JOINT_SETPOINTS
 
 STALE = 0.5  # a set-point for a state older than this is refused [s of robot time]
@@ -35,9 +36,14 @@ class RefusalError(Exception):
 class Layout:
     """What a list of names means: places in the joint vectors, and the internal FSMs that own them."""
 
+    names: list[str]
     joints: npt.NDArray[np.intp]
     machines: frozenset[type[StrEnum]]
     first_of: dict[type[StrEnum], str]  # a joint of each, to name in refusals
+    lower: FloatVector  # (k,) limits of these joints [rad]
+    upper: FloatVector
+    velocity: FloatVector  # (k,) [rad/s]
+    acceleration: FloatVector  # (k,) [rad/s²]
 
 
 class JointSetpointsHandler:
@@ -65,6 +71,7 @@ class JointSetpointsHandler:
         self._hand_goals = hand_goals
         self._arms = [set(robot.group_indices(f"{side}_arm").tolist()) for side in SIDES]
         self._layouts: dict[tuple[str, ...], Layout] = {}
+        self._layout_before: Layout | None = None  # of the message before
 
     def handle(self, received: Received[JointSetpoints], now: int, taken_over: int) -> bool:
         """Follow a message or refuse it; returns whether it is followed.
@@ -85,15 +92,13 @@ class JointSetpointsHandler:
         layout = self._layout(message.names)
         self._check_time(message.time, now, taken_over)
         count = layout.joints.size
-        for what in ("position", "velocity", "acceleration"):
-            vector = getattr(message, what)
-            if vector.shape != (count,):
-                raise RefusalError("length", f"{what} has {vector.size} numbers for {count} joints")
-            if not np.isfinite(vector).all():
-                place = int(np.flatnonzero(~np.isfinite(vector))[0])
-                raise RefusalError(
-                    "finite", f"{what} of joint {message.names[place]!r} is {vector[place]}, not a finite number"
-                )
+        position, velocity, acceleration = message.position, message.velocity, message.acceleration
+        if not len(position) == len(velocity) == len(acceleration) == count:
+            raise RefusalError("length", _wrong_length(message, count))
+        # A sum of squares is finite only if its terms are: most messages are looked at no further.
+        squares = position.dot(position) + velocity.dot(velocity) + acceleration.dot(acceleration)
+        if not isfinite(squares) and (reason := _not_finite(message)):
+            raise RefusalError("finite", reason)
         for machine in layout.machines:
             if closed := self._upper_body.closed(machine):
                 raise RefusalError(
@@ -104,13 +109,12 @@ class JointSetpointsHandler:
         for side, arm in enumerate(self._arms):
             if self._hand_goals.moves(side, now * 1e-9) and (arm & set(layout.joints.tolist())):
                 raise RefusalError("hand_goal", f"the {SIDES[side]} arm follows a hand goal")
-        joints = layout.joints
-        velocity, acceleration = self._velocity_limit[joints], self._acceleration_limit[joints]
         setpoint = Setpoint(
-            joints,
-            position=np.clip(message.position, self._lower[joints], self._upper[joints]),
-            velocity=np.clip(message.velocity, -velocity, velocity),
-            acceleration=np.clip(message.acceleration, -acceleration, acceleration),
+            layout.joints,
+            # np.minimum and np.maximum: np.clip costs five times as much on vectors this short.
+            position=np.maximum(np.minimum(position, layout.upper), layout.lower),
+            velocity=np.maximum(np.minimum(velocity, layout.velocity), -layout.velocity),
+            acceleration=np.maximum(np.minimum(acceleration, layout.acceleration), -layout.acceleration),
             time=message.time * 1e-9,
         )
         self._upper_body.follow(layout.machines, setpoint, now * 1e-9)
@@ -125,6 +129,13 @@ class JointSetpointsHandler:
             raise RefusalError("ahead", f"made for a state {-age:.3f} s ahead of robot time; another world's?")
 
     def _layout(self, names: list[str]) -> Layout:
+        before = self._layout_before
+        if before is not None and names == before.names:
+            return before  # nearly always, and without hashing every name
+        layout = self._layout_before = self._known(names)
+        return layout
+
+    def _known(self, names: list[str]) -> Layout:
         key = tuple(names)
         if (known := self._layouts.get(key)) is not None:
             return known
@@ -140,8 +151,36 @@ class JointSetpointsHandler:
             seen.add(name)
             first_of.setdefault(self._upper_body.owners[name], name)
         joints = np.array([self._index[name] for name in names], dtype=np.intp)
-        layout = Layout(joints, frozenset(first_of), first_of)
+        layout = Layout(
+            names,
+            joints,
+            frozenset(first_of),
+            first_of,
+            self._lower[joints],
+            self._upper[joints],
+            self._velocity_limit[joints],
+            self._acceleration_limit[joints],
+        )
         if len(self._layouts) >= _LAYOUTS:
             self._layouts.clear()
         self._layouts[key] = layout
         return layout
+
+
+def _wrong_length(message: JointSetpoints, count: int) -> str:
+    """Which vector of a message has another length than it has names."""
+    for what in ("position", "velocity", "acceleration"):
+        size = getattr(message, what).size
+        if size != count:
+            return f"{what} has {size} numbers for {count} joints"
+    raise AssertionError("all lengths are right")
+
+
+def _not_finite(message: JointSetpoints) -> str:
+    """Which number of a message is not finite; an empty text: none."""
+    for what in ("position", "velocity", "acceleration"):
+        vector = getattr(message, what)
+        if not np.isfinite(vector).all():
+            place = int(np.flatnonzero(~np.isfinite(vector))[0])
+            return f"{what} of joint {message.names[place]!r} is {vector[place]}, not a finite number"
+    return ""
