@@ -95,20 +95,22 @@ class Commands:
         return True
 
     def listen(self, timeout: float) -> None:
-        """Admit what comes until the newest state is answered, at most for ``timeout`` [s]; a miss is not counted.
+        """Admit what has come, or else the next that comes within ``timeout`` [s]; a miss is not counted.
 
         For a robot whose time passes by itself: Motor is silent when none has come for the time-out, whatever was
         waited for.
         """
-        deadline = time.perf_counter() + timeout
+        before = self.admitted
         self.take()
-        while self.motor is None or self.age > 0:
-            remaining = deadline - time.perf_counter()
-            if remaining <= 0.0:
-                return
-            received = self._subscriber.receive(timeout=remaining)
+        if self.admitted == before and timeout > 0.0:
+            received = self._subscriber.receive(timeout=timeout)
             if received is not None:
                 self._consider(received.message, received.origin)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the Motor in force answers the newest state."""
+        return self.motor is not None and self.age <= 0
 
     def _consider(self, motor: Motor, origin: str) -> None:
         """Admit a Motor, or count and log why not."""

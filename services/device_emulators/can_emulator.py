@@ -64,9 +64,10 @@ class CanEmulator(Emulator):
             counter = can_frames.read_small(message)
             if counter is not None:
                 self._syncs += 1
-                for unit in self._identities:
-                    if unit not in self._dead:
-                        self._answer(unit, self._state(unit, counter, now, robot), now)
+                units = [unit for unit in self._identities if unit not in self._dead]
+                # All at once: whoever gathers them wakes up for the first, and finds the others there.
+                for unit, state in [(unit, self._state(unit, counter, now, robot)) for unit in units]:
+                    self._answer(unit, state, now)
             return
         unit = identifier & can_frames.UNIT
         if unit not in self._identities or unit in self._dead:

@@ -83,7 +83,7 @@ class Emulator(ABC):
     def step(self, now: float, robot: SimulatedRobot) -> None:
         """Read the port without waiting, obey, and answer from what the robot's sensors say.
 
-        Called after every step of the plant and whenever one of ``files`` is readable.
+        Called every few milliseconds and whenever one of ``files`` is readable.
 
         Args:
             now: of the emulators' clock [s].

@@ -26,7 +26,8 @@ class ForceTorqueEmulator(CanEmulator):
         assert isinstance(table, FtCan)
         identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in table.sensors}
         faults = FaultSwitches(tuple(map(str, identities)), _KINDS)
-        super().__init__(name, open_can(settings, table.bus), identities, faults)
+        bus = open_can(settings, table.bus, can_frames.TO_UNITS, can_frames.KIND)
+        super().__init__(name, bus, identities, faults)
         self._places = {unit.id: f"{unit.at}_wrench" for unit in table.sensors}
 
     def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:

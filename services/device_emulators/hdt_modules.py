@@ -97,8 +97,7 @@ class HdtModules(Emulator):
         assert isinstance(table, HdtBifrost)
         modules = tuple(joint for limb in table.limbs for joint in groups[limb.group])
         super().__init__(name, HdtSwitches(tuple(limb.group for limb in table.limbs), modules))
-        self._bus = open_can(settings, table.bus)
-        self._bus.set_filters(hdt_bus.filters(hdt_bus.COMMAND, hdt_bus.INQUIRY))
+        self._bus = open_can(settings, table.bus, (hdt_bus.COMMAND, hdt_bus.INQUIRY), hdt_bus.KIND)
         self._identity = {limb.group: (limb.serial, limb.firmware) for limb in table.limbs}
         self._play = Gears.of(robot, robot.tables.actuators[settings.actuators]).half_backlash
         self._segments: list[_Segment] = []

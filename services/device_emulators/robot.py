@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ from valor_simulation.sensors import Sensors
 Places = npt.NDArray[np.intp]
 STALENESS = 0.012  # of the newest command to the drives that carry it, from which on time stands still [s of the robot]
 PATIENCE = 1.0  # and until when [s on the wall]
+LONGEST = 0.012  # that is made up at once of what a stall of the emulators has cost [s]
 
 
 class SimulatedRobot:
@@ -31,6 +33,8 @@ class SimulatedRobot:
         plant: MuJoCo.
         released: whether the robot has been let go of.
         time: that has passed for the robot and in its devices' clocks [s].
+        slip: time that has not passed for it, but on the wall [s].
+        commands: how old commands became before the next came.
     """
 
     def __init__(self, description: RobotDescription, settings: Settings) -> None:
@@ -52,10 +56,15 @@ class SimulatedRobot:
         self._carries = np.zeros(n, dtype=bool)
         self._carries[self._carrying] = True
         self._measured: Proprioceptor | None = None
-        # When commands to what carries it came last, in the robot's time and the wall's [s].
-        self._commanded: tuple[float, float] | None = None
+        # When commands to what carries it came last, in the robot's time and the wall's [s]; before the first, when its
+        # drives were asked for their states.
+        self._heard: tuple[float, float] | None = None
+        self._is_commanded = False
         self.released = not carrying
         self.time = 0.0
+        self.slip = 0.0
+        self.commands = CommandAges()
+        self._began: float | None = None  # on the wall, when time was 0 or would have been without slip [s]
 
     @property
     def measured(self) -> Proprioceptor:
@@ -94,7 +103,14 @@ class SimulatedRobot:
         motor.damping[joints] = damping
         self._changed = True
         if self._carries[joints[0]]:
-            self._commanded = self.time, time.monotonic()
+            if self._is_commanded and self._heard is not None:
+                self.commands.came(self.time - self._heard[0])
+            self._is_commanded, self._heard = True, (self.time, time.monotonic())
+
+    def asked(self) -> None:
+        """The drives that carry it were asked for their states: somebody is there who will command them."""
+        if self.released and not self._is_commanded:
+            self._heard = self.time, time.monotonic()
 
     def hold(self, joints: Places) -> None:
         """Have the drives of joints hold them where their encoders say they are, on the joints' own servos."""
@@ -120,13 +136,47 @@ class SimulatedRobot:
         self.plant.step(steps)
         self._measured = None
 
-    @property
-    def waits(self) -> bool:
-        """Whether time should stand still: commands came, and then none for a moment that is no silence yet.
+    def pass_until(self, now: float) -> None:
+        """Let time pass until now [s on the wall, monotonic], as far as it may: a slow computer is a slow robot.
 
-        A computer that stalls is to slow the world down, not to fell the robot; one that ended leaves it to the drives'
+        Time stands still where drives were asked or commanded, and then not for a moment that is no silence yet: a
+        computer that stalls is to slow the world down, not to fell the robot; one that ended leaves it to the drives'
         watchdogs.
         """
-        if self._commanded is None or self.time - self._commanded[0] <= STALENESS:
-            return False
-        return time.monotonic() - self._commanded[1] < PATIENCE
+        step = self.plant.step_time
+        if self._began is None:
+            self._began = now - self.time
+        behind = now - self._began - self.time
+        due = int(behind / step)
+        if due <= 0:
+            return
+        allowed = min(due, round(LONGEST / step))
+        if self._heard is not None and now - self._heard[1] < PATIENCE:
+            until = self._heard[0] + STALENESS - self.time
+            allowed = min(allowed, max(0, round(until / step)))
+        if allowed:
+            self.advance(allowed)
+        lost = (due - allowed) * step
+        self._began += lost
+        self.slip += lost
+
+
+class CommandAges:
+    """How old commands to the drives that carry the robot became, in its time, before the next ones came."""
+
+    LAST = 1000  # batches
+
+    def __init__(self) -> None:
+        self._ages: deque[float] = deque(maxlen=self.LAST)
+
+    def came(self, age: float) -> None:
+        """A command came, the last one being so old [s]; those of one instant are one batch."""
+        if age > 0.0:
+            self._ages.append(age)
+
+    def describe(self) -> str:
+        """Mean, 99 % and longest of the last."""
+        if not self._ages:
+            return "no commands yet"
+        mean, high, longest = np.mean(self._ages), np.percentile(self._ages, 99), max(self._ages)
+        return f"commands {1e3 * mean:.1f} ms apart (99 %: {1e3 * high:.0f} ms, longest {1e3 * longest:.0f} ms)"

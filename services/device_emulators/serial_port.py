@@ -68,7 +68,8 @@ class SerialPort:
 
     def read(self) -> bytes:
         """What has come from the driver; does not wait."""
-        if self._device is None:
+        # Nothing is asked of the terminal that has nothing: the kernel would look after what is under way, and wait.
+        if self._device is None or not self._readable.poll(0):
             return b""
         try:
             return os.read(self._device, _READ)

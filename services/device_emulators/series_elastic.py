@@ -52,11 +52,14 @@ class SeriesElasticEmulator(CanEmulator):
         table = robot.tables.devices[name]
         assert isinstance(table, SeaCanFd)
         identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in table.controllers}
-        super().__init__(name, open_can(settings, table.bus), identities, FaultSwitches(tuple(map(str, identities))))
+        faults = FaultSwitches(tuple(map(str, identities)))
+        bus = open_can(settings, table.bus, can_frames.TO_UNITS, can_frames.KIND)
+        super().__init__(name, bus, identities, faults)
         self._controllers = {unit.id: _Controller(unit, robot) for unit in table.controllers}
 
     def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
         controller, measured, fault = self._controllers[unit], robot.measured, self.faults.active
+        robot.asked()
         position = measured.joint_position[controller.joints] + self._offset(controller, now)
         velocity = measured.joint_velocity[controller.joints]
         torque = measured.joint_effort[controller.joints]

@@ -66,7 +66,6 @@ class ModuleBus:
     def __init__(self, bus: can.BusABC, limbs: list[tuple[Limb, HdtLimb]]) -> None:
         """``limbs`` have their segments' numbers in order."""
         self._bus = bus
-        bus.set_filters(hdt_bus.filters(hdt_bus.STATE, hdt_bus.IDENTITY))
         self.segments: list[Segment] = []
         for limb, identity in limbs:
             for part in limb.parts:

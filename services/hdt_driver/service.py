@@ -15,6 +15,7 @@ import psutil
 from hdt_driver.bus import ModuleBus
 from hdt_driver.limb import Limb
 from hdt_driver.ros import DriverNode
+from valor_common.devices import hdt_bus
 from valor_common.devices.hdt_bus import Fault
 from valor_common.devices.ports import open_can
 from valor_common.devices.table import HdtBifrost
@@ -44,7 +45,8 @@ class HdtDriver:
         self._serials = {limb.group: limb.serial for limb in table.limbs}
         self._ros = DriverNode(settings.ros_domain_id, self._limbs)
         try:
-            self._bus = ModuleBus(open_can(settings, table.bus), list(zip(self._limbs, table.limbs, strict=True)))
+            bus = open_can(settings, table.bus, (hdt_bus.STATE, hdt_bus.IDENTITY), hdt_bus.KIND)
+            self._bus = ModuleBus(bus, list(zip(self._limbs, table.limbs, strict=True)))
         except ConfigurationError:
             self._ros.close()
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
+from comms_manager.hardware.microstrain import MicroStrain
 from device_emulators.emulator import EmulatedFault
 from tests.conftest import ROBOTS, wait_until
 from tests.unit.bench import Bench, ailing, sound
@@ -61,6 +63,23 @@ def test_samples_come_at_the_rate_of_the_table(bench: Bench) -> None:
         wait_until(lambda: driver.records[0].states >= before + 100, 10, "a hundred samples")
         assert (driver.records[0].states - before) / (time.monotonic() - began) < 1.1 * 250
         assert driver.records[0].errors == 0
+
+
+def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: Bench) -> None:
+    driver, stopping = bench.driver(), threading.Event()
+    driver.find()
+    assert isinstance(driver, MicroStrain) and driver._port is not None
+    wait_until(lambda: driver._port.in_waiting > 2000, 10, "twenty-five samples that nobody fetched")
+    thread = threading.Thread(target=driver.run, args=(stopping,))
+    thread.start()
+    try:
+        before = driver.records[0].states
+        wait_until(lambda: driver.records[0].states >= before + 10, 10, "ten samples")
+        assert driver.records[0].errors <= 1, "the one that was cut in two, at most"
+    finally:
+        stopping.set()
+        thread.join()
+        driver.close()
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ that were told nothing yet since they were switched on hold where they are, by t
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -29,12 +30,13 @@ import numpy.typing as npt
 
 JOINTS = 4  # of a segment, at most
 COMMAND, STATE, INQUIRY, IDENTITY = 0x080, 0x100, 0x180, 0x200  # first identifiers of each kind
+KIND = 0x7C0  # of an identifier, the bits that are the kind
 SEGMENTS = 64  # on a bus, at most
 SETPOINTS = 1  # flag of a command
 WATCHDOG = 0.25  # [s]
 
 FloatVector = npt.NDArray[np.float64]
-_KIND, _SEGMENT = 0x7C0, 0x03F
+_SEGMENT = 0x03F
 _COMMAND_HEADER, _STATE_HEADER = struct.Struct("<HH"), struct.Struct("<HHHH")
 _SETPOINT = np.dtype(
     [
@@ -53,6 +55,18 @@ _MEASURED = np.dtype(
 _COMMAND_SIZE, _STATE_SIZE = 64, 48  # lengths that CAN FD has, from 60 and 48 bytes
 _UNITS = {"position": 1e-6, "velocity": 1e-3, "effort": 0.01, "stiffness": 0.1, "damping": 0.01}
 _VOLT = 0.01
+
+
+def _columns(layout: np.dtype[np.void]) -> tuple[tuple[str, ...], FloatVector, FloatVector, FloatVector]:
+    """The numbers with a unit in a layout: names, and (m, 1) each: how many units a number is, the least, the most."""
+    names = tuple(name for name in _UNITS if name in (layout.names or ()))
+    limits = [np.iinfo(layout[name]) for name in names]
+    columns = [[1.0 / _UNITS[name] for name in names], [each.min for each in limits], [each.max for each in limits]]
+    scale, least, most = (np.array(column, dtype=np.float64)[:, np.newaxis] for column in columns)
+    return names, scale, least, most
+
+
+_SETPOINT_COLUMNS, _MEASURED_COLUMNS = _columns(_SETPOINT), _columns(_MEASURED)
 
 
 class Fault(IntFlag):
@@ -75,7 +89,7 @@ def segments(joints: int) -> list[slice]:
 
 def kind_and_segment(identifier: int) -> tuple[int, int]:
     """What a frame is, and the segment that it is of or for."""
-    return identifier & _KIND, identifier & _SEGMENT
+    return identifier & KIND, identifier & _SEGMENT
 
 
 @dataclass(frozen=True)
@@ -148,8 +162,8 @@ def command(segment: int, sequence: int, setpoints: Setpoints | None) -> can.Mes
     if setpoints is not None:
         fields = np.frombuffer(data, _SETPOINT, setpoints.mode.size, _COMMAND_HEADER.size)
         fields["mode"] = setpoints.mode
-        for name in _UNITS:
-            _write(fields, name, getattr(setpoints, name))
+        to = setpoints
+        _write(fields, _SETPOINT_COLUMNS, (to.position, to.velocity, to.effort, to.stiffness, to.damping))
     return _frame(COMMAND + segment, data)
 
 
@@ -175,9 +189,8 @@ def state(segment: int, measured: SegmentState) -> can.Message:
     volts = min(0xFFFF, max(0, round(measured.voltage / _VOLT)))
     _STATE_HEADER.pack_into(data, 0, measured.command_sequence, measured.sequence, volts, 0)
     fields = np.frombuffer(data, _MEASURED, measured.position.size, _STATE_HEADER.size)
-    for name in ("position", "velocity", "effort"):
-        _write(fields, name, getattr(measured, name))
-    fields["temperature"] = np.clip(measured.temperature, -128, 127)
+    _write(fields, _MEASURED_COLUMNS, (measured.position, measured.velocity, measured.effort))
+    fields["temperature"] = np.minimum(np.maximum(measured.temperature, -128.0), 127.0)
     fields["fault"] = measured.fault
     return _frame(STATE + segment, data)
 
@@ -227,11 +240,6 @@ def parse_identity(frame: can.Message) -> tuple[str, str]:
     return serial, firmware
 
 
-def filters(*kinds: int) -> list[can.typechecking.CanFilter]:
-    """For one end of the bus, which hears what it says itself: the kinds of frames that it listens to."""
-    return [{"can_id": kind, "can_mask": _KIND, "extended": False} for kind in kinds]
-
-
 def _frame(identifier: int, data: bytearray) -> can.Message:
     return can.Message(
         arbitration_id=identifier, data=data, is_extended_id=False, is_fd=True, bitrate_switch=True, check=False
@@ -243,7 +251,17 @@ def _require(frame: can.Message, size: int) -> None:
         raise FrameError(f"frame {frame.arbitration_id:#05x}: {len(frame.data)} bytes, expected {size}")
 
 
-def _write(fields: npt.NDArray[np.void], name: str, values: FloatVector) -> None:
-    """Scale, round and clamp values into a field."""
-    limits = np.iinfo(fields.dtype[name])
-    fields[name] = np.clip(np.rint(values / _UNITS[name]), limits.min, limits.max)
+def _write(
+    fields: npt.NDArray[np.void],
+    columns: tuple[tuple[str, ...], FloatVector, FloatVector, FloatVector],
+    values: Sequence[FloatVector],
+) -> None:
+    """Scale, round and clamp values into their fields, all at once: this is done for every frame."""
+    names, scale, least, most = columns
+    numbers = np.array(values)
+    numbers *= scale
+    np.rint(numbers, out=numbers)
+    np.maximum(numbers, least, out=numbers)
+    np.minimum(numbers, most, out=numbers)
+    for name, row in zip(names, numbers, strict=True):
+        fields[name] = row

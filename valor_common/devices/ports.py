@@ -7,10 +7,12 @@ own; a serial port is a pseudo-terminal, linked to ``ports/<device>`` in the ins
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import can
 
+from valor_common.devices import multicast_filter
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
 
@@ -23,8 +25,17 @@ def serial_port(instance: Instance, settings: Settings, device: str) -> Path:
     return Path(settings.ports.get(device) or instance.ports / device)
 
 
-def open_can(settings: Settings, bus: int, data_bit_rate: int = 5_000_000) -> can.BusABC:
-    """Open a CAN FD bus; what others send is received, and on multicast one's own frames as well.
+def open_can(
+    settings: Settings, bus: int, kinds: Sequence[int], mask: int, data_bit_rate: int = 5_000_000
+) -> can.BusABC:
+    """Open a CAN FD bus, to hear frames of some kinds.
+
+    Args:
+        settings: of the instance.
+        bus: its number.
+        kinds: identifiers under the mask. Others are thrown away by the kernel where it knows how.
+        mask: of the identifier's bits that are the kind.
+        data_bit_rate: on a real bus [bit/s].
 
     Raises:
         ConfigurationError: it cannot be opened.
@@ -35,14 +46,21 @@ def open_can(settings: Settings, bus: int, data_bit_rate: int = 5_000_000) -> ca
     try:
         if place := settings.ports.get(name):
             interface, _, channel = place.partition(":")
-            return can.Bus(interface=interface, channel=channel, fd=True, data_bitrate=data_bit_rate)
+            filters: can.typechecking.CanFilters = [
+                {"can_id": kind, "can_mask": mask, "extended": False} for kind in kinds
+            ]
+            return can.Bus(
+                interface=interface, channel=channel, can_filters=filters, fd=True, data_bitrate=data_bit_rate
+            )
         domain = settings.ros_domain_id
-        return can.Bus(
+        opened = can.Bus(
             interface="udp_multicast",
             channel=f"239.255.{domain}.{bus}",
             port=_FIRST_PORT + _BUSES * domain + bus,
             hop_limit=0,
             fd=True,
         )
+        multicast_filter.attach(opened.fileno(), kinds, mask)
+        return opened
     except (can.CanError, can.CanInterfaceNotImplementedError, OSError, ValueError) as error:
         raise ConfigurationError(f"port {name}: cannot be opened: {' '.join(str(error).split())}") from None

@@ -168,11 +168,17 @@ class Hardware(Backend):
     def _wait(self, commands: Commands, duration: float) -> None:
         """Wait [s], and hand out the Motor that comes meanwhile."""
         due = time.perf_counter() + duration
-        commands.listen(max(0.0, duration))
-        self._hand_out(commands)
-        remaining = due - time.perf_counter()
-        if remaining > 0.0:
-            time.sleep(remaining)
+        remaining = duration
+        while True:
+            # Each as it comes, and not the newest alone: one that comes after its period is late enough already.
+            commands.listen(remaining)
+            self._hand_out(commands)
+            remaining = due - time.perf_counter()
+            if remaining <= 0.0:
+                return
+            if commands.answered:
+                time.sleep(remaining)
+                return
 
     def _pass_time(self, commands: Commands) -> None:
         """Have the devices sample, until by their clocks a period has passed since they were heard last.

@@ -88,7 +88,7 @@ class CanDevice(Device):
 
     def find(self) -> None:
         """Ask every unit who it is, and get a first state of each."""
-        self._bus = open_can(self.context.settings, self._number)
+        self._bus = open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
         for unit in self.units.values():
             self._check_identity(unit, self._ask(unit, Code.IDENTIFY, f"expected {_described(unit.identity)}"))
         deadline = time.monotonic() + TRIES * ANSWER_TIME

@@ -11,6 +11,7 @@ import contextlib
 import math
 import select
 import struct
+import termios
 import time
 from threading import Event
 
@@ -195,6 +196,7 @@ class MicroStrain(Device):
     def run(self, stopping: Event) -> None:
         """Take samples in until told to stop; find the sensor again when it is gone."""
         looked = time.monotonic()
+        self._forget()
         while not stopping.is_set():
             try:
                 if self._port is not None:
@@ -217,6 +219,13 @@ class MicroStrain(Device):
             except DeviceError as error:
                 if self._path.exists():
                     self.tell([Ailment(self.name, Fault.FAULTY, str(error).removeprefix(f"{self.name}: "))])
+
+    def _forget(self) -> None:
+        """Throw away what came while other devices were found: seconds of samples, each too late to be used."""
+        with contextlib.suppress(serial.SerialException, termios.error):  # it is gone: that is found out soon
+            if self._port is not None:
+                self._port.reset_input_buffer()
+        self._stream.clear()
 
     def _listen(self, timeout: float) -> None:
         for packet in self._receive(timeout):

@@ -1,0 +1,83 @@
+"""The multicast CAN bus: each end hears the kinds of frames that it asked for, and does not wake up for others."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from valor_common.devices import can_frames, hdt_bus
+from valor_common.devices.can_frames import Code
+from valor_common.devices.ports import open_can
+from valor_common.instance import Settings
+
+BUS = 7  # that no robot has
+PATIENCE = 5.0  # [s]
+
+
+@pytest.fixture
+def settings() -> Settings:
+    # A domain by process: tests that run at once must not hear each other.
+    return Settings(robot=Path(), ros_domain_id=os.getpid() % 100)
+
+
+@pytest.fixture
+def ends(settings: Settings) -> Iterator[tuple[can.BusABC, can.BusABC]]:
+    master = open_can(settings, BUS, can_frames.TO_MASTER, can_frames.KIND)
+    unit = open_can(settings, BUS, can_frames.TO_UNITS, can_frames.KIND)
+    yield master, unit
+    master.shutdown()
+    unit.shutdown()
+
+
+def heard(bus: can.BusABC, count: int) -> list[int]:
+    """Identifiers of so many frames."""
+    frames = [bus.recv(PATIENCE) for _ in range(count)]
+    return [frame.arbitration_id for frame in frames if frame is not None]
+
+
+def wakes(bus: can.BusABC) -> bool:
+    """Whether its thread would wake up."""
+    return bool(select.select([bus.fileno()], [], [], 0.0)[0])
+
+
+def test_each_end_hears_the_other_and_not_itself(ends: tuple[can.BusABC, can.BusABC]) -> None:
+    master, unit = ends
+    asked = [can_frames.sync(1), can_frames.request(3, Code.IDENTIFY), can_frames.frame(can_frames.COMMAND + 127, b"")]
+    for frame in asked:
+        master.send(frame)
+    assert heard(unit, 3) == [frame.arbitration_id for frame in asked]
+    assert not wakes(master), "what it says itself does not wake it"
+    said = [can_frames.frame(can_frames.STATE + 1, bytes(48)), can_frames.frame(can_frames.REPLY + 2, bytes(32))]
+    for frame in said:
+        unit.send(frame)
+    assert heard(master, 2) == [frame.arbitration_id for frame in said]
+    assert not wakes(unit)
+
+
+@pytest.mark.parametrize("identifier", [0x000, 0x07F, 0x080, 0x0FF, 0x100, 0x17F, 0x180, 0x1FF, 0x200, 0x27F, 0x7FF])
+def test_a_frame_gets_through_if_its_kind_is_listened_to(settings: Settings, identifier: int) -> None:
+    bus = open_can(settings, BUS, (hdt_bus.STATE, hdt_bus.IDENTITY), hdt_bus.KIND)
+    try:
+        bus.send(can_frames.frame(identifier, b"x"))
+        bus.send(can_frames.frame(hdt_bus.STATE, b"the last"))
+        first = heard(bus, 1)
+    finally:
+        bus.shutdown()
+    listened = identifier & hdt_bus.KIND in (hdt_bus.STATE, hdt_bus.IDENTITY)
+    one_byte = identifier < 0x80  # python-can packs it otherwise; then whoever reads decides
+    assert first == [identifier if listened or one_byte else hdt_bus.STATE]
+
+
+def test_what_python_can_did_not_send_is_left_to_whoever_reads(settings: Settings) -> None:
+    bus = open_can(settings, BUS, can_frames.TO_MASTER, can_frames.KIND)
+    try:
+        bus._multicast.send(b"no frame")  # type: ignore[attr-defined]
+        with pytest.raises(can.CanOperationError):
+            bus.recv(PATIENCE)
+    finally:
+        bus.shutdown()
