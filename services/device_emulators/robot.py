@@ -17,7 +17,7 @@ from valor_simulation.plant import Plant
 from valor_simulation.sensors import Sensors
 
 Places = npt.NDArray[np.intp]
-STALENESS = 0.012  # of the newest command to the drives that carry it, from which on time stands still [s of the robot]
+STALENESS = 3  # of the newest command to the drives that carry it, from which on time stands still [control periods]
 PATIENCE = 1.0  # and until when [s on the wall]
 LONGEST = 0.012  # that is made up at once of what a stall of the emulators has cost [s]
 
@@ -60,6 +60,7 @@ class SimulatedRobot:
         # drives were asked for their states.
         self._heard: tuple[float, float] | None = None
         self._is_commanded = False
+        self._staleness = STALENESS * description.control_period
         self.released = not carrying
         self.time = 0.0
         self.slip = 0.0
@@ -152,7 +153,7 @@ class SimulatedRobot:
             return
         allowed = min(due, round(LONGEST / step))
         if self._heard is not None and now - self._heard[1] < PATIENCE:
-            until = self._heard[0] + STALENESS - self.time
+            until = self._heard[0] + self._staleness - self.time
             allowed = min(allowed, max(0, round(until / step)))
         if allowed:
             self.advance(allowed)

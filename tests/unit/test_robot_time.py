@@ -14,7 +14,8 @@ from valor_common.instance import Settings
 from valor_common.messages import JointMode
 from valor_common.robot import RobotDescription
 
-DESCRIPTION = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+DESCRIPTION = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher", 250.0)
+STALE = STALENESS * DESCRIPTION.control_period  # [s]
 STEP = 0.001  # of the physics [s]
 TURN = 0.002  # between looks [s]
 
@@ -67,11 +68,11 @@ def test_it_waits_for_commands_and_goes_on_with_the_next(robot: SimulatedRobot) 
     robot.pass_until(now)
     command(robot)
     now = pass_time(robot, now, 0.1)
-    assert robot.time == pytest.approx(STALENESS, abs=STEP), "no farther without another command"
-    assert robot.slip == pytest.approx(0.1 - STALENESS, abs=2 * STEP)
+    assert robot.time == pytest.approx(STALE, abs=STEP), "no farther without another command"
+    assert robot.slip == pytest.approx(0.1 - STALE, abs=2 * STEP)
     command(robot)
     now = pass_time(robot, now, 0.01)
-    assert robot.time == pytest.approx(STALENESS + 0.01, abs=2 * STEP), "what was lost is not made up"
+    assert robot.time == pytest.approx(STALE + 0.01, abs=2 * STEP), "what was lost is not made up"
     assert "99 %: 12 ms" in robot.commands.describe()
 
 
@@ -80,7 +81,7 @@ def test_it_waits_for_whoever_asks_before_the_first_command(robot: SimulatedRobo
     robot.pass_until(now)
     robot.asked()
     pass_time(robot, now, 0.1)
-    assert robot.time == pytest.approx(STALENESS, abs=STEP)
+    assert robot.time == pytest.approx(STALE, abs=STEP)
 
 
 def test_whoever_is_gone_is_not_waited_for(robot: SimulatedRobot) -> None:

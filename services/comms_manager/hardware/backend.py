@@ -45,7 +45,9 @@ from valor_common.service import Context
 from valor_common.topics import DEVICES
 
 FEET = ("left_foot", "right_foot")  # where the forces must be known
-SHORTEST = 0.25  # of a period: so much may lack of one
+# So much may lack of a period. Less than half, or whoever is late once samples twice a period for ever; and no whole
+# millisecond of 4 or 5 ms, the grain of an emulator's clock.
+LACKING = 0.45
 LONGEST_WAIT = 1.0  # for the leg controllers' clocks [s]
 NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit says otherwise [V]
 # Five threads share the interpreter: whoever waits for it is to wait less than the five milliseconds of the default.
@@ -193,7 +195,7 @@ class Hardware(Backend):
                 break
             elapsed = reference.elapsed - self._elapsed
             lacking = period - 1e-9 * elapsed
-            if lacking < SHORTEST * period:
+            if lacking < LACKING * period:
                 self._lost = False
                 break
             # A bus on which nobody speaks is waited for: its controllers' watchdogs hold the joints meanwhile.

@@ -88,7 +88,7 @@ class CanDevice(Device):
 
     def find(self) -> None:
         """Ask every unit who it is, and get a first state of each."""
-        self._bus = open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
+        self._bus = self._open()
         for unit in self.units.values():
             self._check_identity(unit, self._ask(unit, Code.IDENTIFY, f"expected {_described(unit.identity)}"))
         deadline = time.monotonic() + TRIES * ANSWER_TIME
@@ -100,6 +100,9 @@ class CanDevice(Device):
             while self._missing and time.monotonic_ns() - self._synced < 1e9 * ANSWER_TIME:
                 self._listen(ANSWER_TIME)
             self._finish()
+
+    def _open(self) -> can.BusABC:
+        return open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
 
     def close(self) -> None:
         """Leave the bus."""
@@ -187,7 +190,7 @@ class CanDevice(Device):
         self._reopened = now
         assert self._bus is not None
         with contextlib.suppress(ConfigurationError):  # not yet
-            bus = open_can(self.context.settings, self._number)
+            bus = self._open()
             with contextlib.suppress(can.CanError, OSError):
                 self._bus.shutdown()
             self._bus = bus
