@@ -27,7 +27,7 @@ from valor_common.messages import HdtCommand, HdtState, Statistics
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import STATISTICS, TOPICS
 
-LOOK_EVERY = 0.002  # at ROS, which nobody waits for [s]
+LOOK_EVERY = 0.004  # at ROS, which nobody waits for [s]
 
 _NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 

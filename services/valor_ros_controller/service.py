@@ -69,7 +69,10 @@ class ValorRosController:
             control_rate = robot.tables.control_rate
             self._parameters = Parameters(self._ros.node)
             rate = self._parameters.declare(
-                "update_rate", 250.0, "of the update loop [Hz], at most the control rate", Range(1.0, control_rate)
+                "update_rate",
+                min(250.0, control_rate),
+                "of the update loop [Hz], at most the control rate",
+                Range(1.0, control_rate),
             )
             timeout = self._parameters.declare(
                 "silence_timeout",
