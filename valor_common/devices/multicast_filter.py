@@ -3,7 +3,7 @@
 On multicast whoever speaks hears himself: half of all frames are one's own, each would wake its sender and be unpacked.
 So the kernel throws away frames of kinds that nobody listens to, as SocketCAN's own filters do on a real bus. Frames
 that are not laid out as `python-can` lays them out today (msgpack: a map that begins with timestamp and identifier) get
-through: the bus' own filter decides on them.
+through: whoever reads them decides.
 """
 
 from __future__ import annotations
