@@ -11,11 +11,12 @@ survived by stepping, walking, pushes at any phase of a walk, and the ways over 
 from __future__ import annotations
 
 import argparse
+import functools
 import gc
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
@@ -25,6 +26,7 @@ import numpy as np
 import pushes
 import walks
 
+from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor_common.robot import RobotDescription
 
@@ -56,22 +58,100 @@ def main() -> None:
 
 
 def ticks(robot: RobotDescription, profile: str) -> Iterator[str]:
-    """Time of estimator, fall detection and controller together, in the loop with the plant between ticks."""
+    """Time of estimator, fall detection and controller together, and where it goes, standing and walking.
+
+    Twice each: in the loop with the plant between ticks; and paced as a live system is, with caches emptied between
+    ticks, which is what other processes do to it.
+    """
+    yield f"\n## A tick, {profile}, load {os.getloadavg()[0]:.1f}\n"
+    yield "| robot | caches | p10 [µs] | p50 [µs] | p99 [µs] | of the period, p50 | of a core, ours |"
+    yield "|---|---|---|---|---|---|---|"
+    stages: dict[str, list[str]] = {}
+    runs = [(speed, cold) for speed in (0.0, 0.4) for cold in (False, True)]
+    for speed, cold in runs:
+        times, share, _ = timed(robot, profile, speed, cold=cold, stages={})
+        p10, p50, p99 = np.percentile(times, (10, 50, 99)) * 1e6
+        yield (
+            f"| {'walks' if speed else 'stands'} | {'cold' if cold else 'warm'} | {p10:.0f} | {p50:.0f} | {p99:.0f} "
+            f"| {1e-4 * p50 / robot.control_period:.0f} % | {100 * share:.0f} % |"
+        )
+        for name, spent in timed(robot, profile, speed, cold=cold, stages=STAGES)[2].items():
+            stages.setdefault(name, []).append(f"{np.median(spent) * 1e6:.0f}")
+    yield "\nWhere it goes, medians [µs], each with some 0.5 µs of being measured:\n"
+    yield "| stage | stands, warm | stands, cold | walks, warm | walks, cold |\n|---|---|---|---|---|"
+    for name, medians in stages.items():
+        yield f"| {name} | {' | '.join(medians)} |"
+
+
+STAGES = {
+    "estimator": "estimator.update",
+    "– of it MuJoCo's kinematics and dynamics": "estimator.dynamics.evaluate",
+    "fall detection": "detector.update",
+    "controller": "controller.update",
+    "– gait, swinging foot, adjustment": "controller._step",
+    "– references, wishes, joint limits": "controller._wishes.update",
+    "– self-collision": "controller._bounds",
+    "– objective": "controller._objective.update",
+    "– contact forces": "controller._contacts.update",
+    "– QP": "controller._qp.solve",
+    "– – of it DAQP": "controller._qp._minimum",
+    "– set-points": "controller._command",
+}
+"""What is timed → the method of ``ClosedLoop`` that does it."""
+
+
+def timed(
+    robot: RobotDescription, profile: str, speed: float, *, cold: bool, stages: dict[str, str]
+) -> tuple[list[float], float, dict[str, list[float]]]:
+    """Ticks of six seconds [s], the share of a core that they had, and how long each stage took [s]."""
     loop = ClosedLoop(robot, profile)
     loop.settle(0.3)
     loop.run(1.0)
+    spent: dict[str, list[float]] = {name: [] for name in stages}
+    for name, path in stages.items():
+        *owners, method = path.split(".")
+        owner = functools.reduce(getattr, owners, loop)
+        setattr(owner, method, stopwatch(getattr(owner, method), spent[name]))
+    source = VelocitySteps(robot.tables.walking)
+    if speed:
+        loop.controller.step_source = source
+    evicted = np.zeros(4 << 20, dtype=np.uint8)
+    due = time.perf_counter()
+
+    def each(loop: ClosedLoop) -> None:
+        nonlocal due
+        source.command(np.array((speed, 0.0, 0.0)), loop.time)
+        source.advance(loop.time)
+        if cold:
+            np.add(evicted, 1, out=evicted)
+            due = max(due + robot.control_period, time.perf_counter())
+            time.sleep(due - time.perf_counter() if due > time.perf_counter() else 0.0)
+
+    loop.run(2.0, each)
     gc.collect()
     gc.freeze()
     gc.disable()
     loop.tick_times.clear()
-    load, began, cpu = os.getloadavg()[0], time.perf_counter(), time.thread_time()
-    loop.run(10.0)
+    for times in spent.values():
+        times.clear()
+    began, cpu = time.perf_counter(), time.thread_time()
+    loop.run(6.0, each)
     share = (time.thread_time() - cpu) / (time.perf_counter() - began)
     gc.enable()
-    p10, p50, p99 = np.percentile(loop.tick_times, (10, 50, 99)) * 1e6
-    yield f"\n## {len(loop.tick_times)} ticks, {profile}, load {load:.1f}, {100 * share:.0f} % of a core to ourselves\n"
-    yield "| p10 [µs] | p50 [µs] | p99 [µs] | of the period, p50 |\n|---|---|---|---|"
-    yield f"| {p10:.0f} | {p50:.0f} | {p99:.0f} | {1e-4 * p50 / robot.control_period:.0f} % |"
+    gc.unfreeze()
+    return loop.tick_times, share, spent
+
+
+def stopwatch(function: Callable[..., object], times: list[float]) -> Callable[..., object]:
+    """The function, which notes how long it took [s]."""
+
+    def watched(*args: object) -> object:
+        began = time.perf_counter()
+        result = function(*args)
+        times.append(time.perf_counter() - began)
+        return result
+
+    return watched
 
 
 def standing(robot: RobotDescription, profile: str, seeds: int, seconds: float) -> Iterator[str]:

@@ -7,12 +7,17 @@ not push is no part of the problem at all.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 
+import casadi as ca
 import daqp
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body.contact import UNBOUNDED
 from motion_manager.whole_body.dynamics import Dynamics
 from motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
@@ -57,7 +62,10 @@ class ContactForceQp:
         self._damping = joint_damping
         self._joints = len(joint_damping)
         self._none = np.zeros(0, dtype=np.intp)
-        self._values = np.zeros(2 * self._joints)
+        n = self._joints
+        self._given = np.zeros((9, n))
+        self._values, self._excess = np.zeros(2 * n), np.zeros(2)
+        self._check = Kernel("limits", self._expressions, (self._given,), (self._values, self._excess))
         self.limit_forces(np.full(generators, UNBOUNDED))
 
     def limit_forces(self, upper: FloatArray) -> None:
@@ -82,35 +90,49 @@ class ContactForceQp:
         """
         mass, bias, n, pushing = dynamics.mass_matrix, dynamics.bias, self._joints, self._pushing
         forces = forces[pushing]
-        offset = bias[6:] + self._damping * dynamics.joint_velocity
         elimination = Elimination(objective.hessian, objective.gradient)
-        values, joined, others = self._values, self._none, bounds.others
-        if others is not None:
-            values = np.empty(bounds.lower.size)
-        lower, upper = bounds.lower - TOLERANCE, bounds.upper + TOLERANCE
+        joined, others = self._none, bounds.others
         for _ in range(ROUNDS):
-            limit = self._limit(mass, offset, forces, joined, others) if joined.size else None
+            limit = self._limit(dynamics, forces, joined, others) if joined.size else None
             reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
             z = self._minimum(reduced, bounds, joined)
             acceleration, pushes = reduced.acceleration(z), z[: self._upper.size]
-            torque = mass[6:] @ acceleration
-            torque += offset
-            torque -= pushes @ forces[:, 6:]
-            values[:n] = torque
-            values[n : 2 * n] = acceleration[6:]
-            if others is not None:
-                values[2 * n :] = others.rows @ acceleration + others.offset
-            if (values <= upper).all() and (values >= lower).all():
-                status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
-                return Solution(acceleration, self._all(pushes), torque, status, joined)
-            if not np.isfinite(values).all():
+            np.concatenate(
+                (
+                    mass[6:] @ acceleration,
+                    bias[6:],
+                    dynamics.joint_velocity,
+                    pushes @ forces[:, 6:],
+                    acceleration[6:],
+                    bounds.lower[: 2 * n],
+                    bounds.upper[: 2 * n],
+                ),
+                out=self._given.reshape(-1),
+            )
+            self._check()
+            values = self._values.copy()
+            excess, squares = self._excess.tolist()
+            if not isfinite(squares):  # DAQP lets NaN pass, and the largest of some numbers does not show it
                 raise UnsolvableError("the solution is not finite")
-            broken = (values > upper) | (values < lower)
-            broken[joined] = False  # what is left there is round-off
-            if not broken.any():
-                return Solution(acceleration, self._all(pushes), torque, QpStatus.LIMITED, joined)
-            joined = np.concatenate((joined, np.flatnonzero(broken)))
+            if others is not None:
+                values = np.concatenate((values, others.rows @ acceleration + others.offset))
+            status = QpStatus.LIMITED if joined.size else QpStatus.OPTIMAL
+            if excess > TOLERANCE or others is not None:
+                broken = (values > bounds.upper + TOLERANCE) | (values < bounds.lower - TOLERANCE)
+                broken[joined] = False  # what is left there is round-off
+                if broken.any():
+                    joined = np.concatenate((joined, np.flatnonzero(broken)))
+                    continue
+            return Solution(acceleration, self._all(pushes), values[:n], status, joined)
         raise UnsolvableError(f"limits of joints kept breaking after {ROUNDS} rounds")
+
+    def _expressions(self, given: Expression) -> Sequence[Expression]:
+        """(2·nj,) torques and accelerations; (2,) how far the worst of them is beyond its limits, and all squared."""
+        inertial, bias, velocity, contact, acceleration, *_ = (given[i, :].T for i in range(9))
+        values = ca.vertcat(inertial + bias + ca.DM(self._damping) * velocity - contact, acceleration)
+        lower, upper = (ca.vec(given[i : i + 2, :].T) for i in (5, 7))
+        excess = functools.reduce(ca.fmax, ca.vertsplit(ca.fmax(values - upper, lower - values)))
+        return values, ca.vertcat(excess, ca.sumsqr(values))
 
     def _all(self, pushes: FloatArray) -> FloatArray:
         """(nρ,) of both feet."""
@@ -119,14 +141,10 @@ class ContactForceQp:
         return rho
 
     def _limit(
-        self,
-        mass: FloatArray,
-        offset: FloatArray,
-        forces: FloatArray,
-        joined: npt.NDArray[np.intp],
-        others: Limit | None,
+        self, dynamics: Dynamics, forces: FloatArray, joined: npt.NDArray[np.intp], others: Limit | None
     ) -> Limit:
-        n = self._joints
+        mass, n = dynamics.mass_matrix, self._joints
+        offset = dynamics.bias[6:] + self._damping * dynamics.joint_velocity
         rows, constant, effect = (
             np.zeros((joined.size, n + 6)),
             np.zeros(joined.size),
