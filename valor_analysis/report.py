@@ -29,6 +29,8 @@ th { text-align: left; color: var(--grey); font-weight: normal; border-bottom: 1
 th, td { padding: .32rem .7rem .32rem 0; vertical-align: top; }
 td { border-bottom: 1px solid var(--soft); }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.measures td:nth-child(1) { width: 27%; } .measures td:nth-child(3) { white-space: nowrap; }
+.measures td:nth-child(4) { width: 17%; } .measures td:nth-child(5) { width: 34%; }
 td.here { font-weight: bold; }
 td.note { color: var(--grey); }
 figure { margin: 1.4rem 0; }

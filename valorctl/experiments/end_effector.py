@@ -119,16 +119,19 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None)
         Measure("command to sensed, largest", 100.0 * float(kept.tracking_error.distance.max()), "cm",
                 "≤ 2 (simulation)", "on the way; where a busy computer lets set-points come late, far beyond the next"),
         Measure("command to sensed, 99 of 100 moments", 100.0 * float(np.quantile(kept.tracking_error.distance, 0.99)),
-                "cm", "≤ 2 (simulation)"),
-        Measure("by the floating base, smallest at a pose", 100.0 * float(moved[away].min()), "cm", "3"),
+                "cm", "≤ 2 (simulation)", "the same size: what servos lag behind while they move"),
+        Measure("by the floating base, smallest at a pose", 100.0 * float(moved[away].min()), "cm", "3",
+                "the same cause: the center of mass stays, so the torso goes the other way than the arm"),
         Measure("by the floating base, largest at a pose", 100.0 * float(moved[away].max()), "cm", "6",
-                "poses and masses are not the thesis', which gives neither"),
+                "the same size; the thesis gives neither its poses nor its masses"),
         Measure("by the floating base, largest component",
-                100.0 * float(np.abs(kept.base_error.position).max()), "cm", "5"),
+                100.0 * float(np.abs(kept.base_error.position).max()), "cm", "5",
+                "likewise, on the way included"),
         Measure("from the goal at rest, largest", 100.0 * float(total.max()), "cm"),
         Measure("share of the base in it", float((moved[away] / total[away]).mean()), "", "",
                 "near 1: the joints reach their goals, what is left is the base's"),
-        Measure("orientation at rest, largest angle", float(np.rad2deg(turned.max())), "°", "converges to 0"),
+        Measure("orientation at rest, largest angle", float(np.rad2deg(turned.max())), "°", "converges to 0",
+                "the same: the torso's orientation is held, so that it only shifts"),
         Measure("by the floating base where the CoM goes with the arm, largest at a pose",
                 100.0 * float(_at_rest(ours)[0][away].max()), "cm", "", "this system's own way"),
     ]  # fmt: skip
@@ -141,12 +144,13 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None)
     away = np.array([motion.name != "home" for motion in real.motions])
     run.measures += [
         Measure("real arms: from set-points at rest, largest", 100.0 * float(tracking.max()), "cm",
-                "large and persistent (hardware)", "play and weight; no gravity compensation"),
-        Measure("real arms: from the goal at rest, largest", 100.0 * float(total.max()), "cm", "10 (hardware)"),
+                "large and persistent (hardware)", "the same: play and weight, without gravity compensation"),
+        Measure("real arms: from the goal at rest, largest", 100.0 * float(total.max()), "cm", "10 (hardware)",
+                "the same size; the play of 7 cm is the thesis', poses and friction are ours"),
         Measure("real arms: share of the base in it", float((moved[away] / total[away]).mean()), "",
                 "a little under ½ (hardware)", "distances do not add up where directions differ"),
         Measure("real arms: yaw at rest from set-points, largest", float(np.rad2deg(yaw.max())), "°",
-                "large (hardware)", "the wrist yaw, where a pose wants it turned"),
+                "large (hardware)", "the same: the wrist yaw, where a pose wants it turned"),
     ]  # fmt: skip
 
 

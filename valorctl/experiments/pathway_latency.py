@@ -45,6 +45,11 @@ TOPICS = (
     REFERENCE, VEC, JOINT_STATES, MODE_COMMAND, MODE_REPORT,
 )  # fmt: skip
 _THESIS = {"mode change": "49", "proprioception": "40", "joint command": "335"}
+_WHY = {
+    "mode change": "the same messages; each wakes who waits for it, where threads slept between two looks there",
+    "proprioception": "the same conversion; each Proprioceptor wakes the VRC, whose threads slept between looks there",
+    "joint command": "most of it was the real Motion System's and the arm's; simulated servos answer within tens of ms",
+}
 _NOTES = {
     "Reference → VEC": "by stamps; the VRC updates at 250 Hz",
     "VEC → MSetpoint": "by stamps; the whole update of the VRC is in it",
@@ -86,8 +91,7 @@ def run(run: Run) -> None:
         for pathway in latencies.pathways:
             run.measures.append(
                 Measure(f"{pathway.name}, {profile}", _ms(pathway.mean), "ms", _THESIS[pathway.name],
-                        f"{1e3 * pathway.median:.1f} by medians; "
-                        + " + ".join(segment.name for segment in pathway.segments))
+                        f"{1e3 * pathway.median:.1f} by medians; {_WHY[pathway.name]}")
             )  # fmt: skip
     run.files.append(_write_csv(found, run.out / "pathway_latency.csv"))
     run.picture([pathway_plots.bars(found, run.out / "pathway_latency_segments.png")],

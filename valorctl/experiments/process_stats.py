@@ -57,15 +57,19 @@ def run(run: Run) -> None:
     vrc = usage[_VRC]
     run.measures += [
         Measure("VRC processor, mean", float(vrc.cpu.mean()), "% of one core", "36 simulation, 53 hardware",
-                "C++ with a thread a task there; one Python loop here, woken by data"),
-        Measure("VRC processor, sd", float(vrc.cpu.std()), "% of one core", "8 simulation, 10 hardware"),
-        Measure("VRC processor, max", float(vrc.cpu.max()), "% of one core", "100 simulation, 113 hardware"),
-        Measure("VRC processor, min", float(vrc.cpu.min()), "% of one core", "13 simulation, 15 hardware"),
+                "the same conversions; C++ with a thread a task, 12 and 8 cores there; one Python loop here"),
+        Measure("VRC processor, sd", float(vrc.cpu.std()), "% of one core", "8 simulation, 10 hardware",
+                "of looks half a second apart; the thesis does not say how far apart its own were"),
+        Measure("VRC processor, max", float(vrc.cpu.max()), "% of one core", "100 simulation, 113 hardware",
+                "tasks' threads add up there; here only the sockets' work beside the loop"),
+        Measure("VRC processor, min", float(vrc.cpu.min()), "% of one core", "13 simulation, 15 hardware",
+                "states come at their full rate while the robot stands, in both"),
         Measure("VRC memory, mean", float(vrc.memory.mean()), "MiB", "98.3 hardware",
-                "resident; most of it is the interpreter, NumPy and rclpy"),
+                "the same size, of other things: here the interpreter, NumPy and rclpy"),
         Measure("Motion System processor, mean",
                 float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
-                "over 150", "the Comms Manager's part simulates the robot here"),
+                "over 150", "a core and a half there; the Comms Manager's part simulates the robot here, and spoke to "
+                "devices there"),
         Measure("robot time against the wall's", pace, "", "", "below 1 on a computer too busy for the simulation: "
                 "percentages are as much lower"),
         Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",

@@ -29,7 +29,8 @@ def run(run: Run) -> None:
     responses = [one.response for one in arm]
     run.measures += [
         Measure("neck yaw at rest from its goal", abs(look.final_error(timeline)), "rad"),
-        Measure("arm joint at rest from its goal, largest", max(finals), "rad", "near 0 (simulation)"),
+        Measure("arm joint at rest from its goal, largest", max(finals), "rad", "near 0 (simulation)",
+                "the same: joints reach what they are asked for"),
         Measure("arm joint from its set-point, largest", max(one.largest_error() for one in arm), "rad"),
         Measure("arm joint speed from its set-point's, largest", max(one.largest_error("velocity") for one in arm),
                 "rad/s"),
@@ -46,9 +47,10 @@ def run(run: Run) -> None:
         )
         *others, wrist = (abs(one.final_error(timeline)) for one in real)
         run.measures += [
-            Measure("real arms: wrist yaw at rest from its goal", wrist, "rad", "does not turn (hardware)"),
+            Measure("real arms: wrist yaw at rest from its goal", wrist, "rad", "does not turn (hardware)",
+                    "the same, by a drive that hardly moves (actuators drc_finals)"),
             Measure("real arms: another joint at rest from its goal, largest", max(others), "rad",
-                    "persistent (hardware)", "play, and weight that only a gravity compensation would carry"),
+                    "persistent (hardware)", "the same: play, and weight that only a gravity compensation would carry"),
         ]  # fmt: skip
 
 
