@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from struct import error as StructError  # noqa: N812
 from typing import Any
 
 import yaml
@@ -58,7 +59,7 @@ def _summary(file: Path) -> Summary | None:
     try:
         with open(file, "rb") as opened:
             summary = make_reader(opened).get_summary()
-    except (McapError, ValueError, OSError):
+    except (McapError, ValueError, OSError, StructError):
         return None
     return summary if summary is not None and summary.statistics is not None else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from struct import error as StructError  # noqa: N812
 from typing import Any
 
 from mcap.exceptions import McapError
@@ -76,8 +77,10 @@ def _index(file: Path) -> tuple[Summary, Statistics]:
             summary = make_reader(stream).get_summary()
     except OSError as error:
         raise ValorError(f"{file}: {error.strerror}") from None
-    except (McapError, ValueError) as error:
-        raise ValorError(f"{file}: not a whole MCAP file ({error}); `valorctl bag recover` may mend it") from None
+    except (McapError, ValueError, StructError):
+        raise ValorError(
+            f"{file}: not a whole MCAP file; `valorctl bag recover` finishes one that was cut off"
+        ) from None
     if summary is None or summary.statistics is None:
         raise ValorError(f"{file}: has no index; `valorctl bag recover` adds it once the recorder has ended")
     return summary, summary.statistics

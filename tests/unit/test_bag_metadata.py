@@ -63,6 +63,16 @@ def test_a_folder_is_summed_up(tmp_path: Path) -> None:
         summarize(tmp_path)
 
 
+@pytest.mark.parametrize("content", [b"", b"hello", b"something longer than the magic bytes of a bag"])
+def test_what_is_no_bag_is_said_in_a_line(content: bytes, tmp_path: Path) -> None:
+    file = tmp_path / "walk" / "walk.mcap"
+    file.parent.mkdir()
+    file.write_bytes(content)
+    with pytest.raises(ValorError, match=r"walk\.mcap: not a whole MCAP file"):
+        summarize(file)
+    assert rosbag2_metadata.write(file.parent) is None
+
+
 def test_a_folder_without_a_finished_bag_gets_none(tmp_path: Path) -> None:
     bag(tmp_path / "a" / "a.mcap", 1, 1, (WORDS,), close=False)
     assert rosbag2_metadata.write(tmp_path / "a") is None

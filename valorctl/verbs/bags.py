@@ -114,6 +114,7 @@ def csv(
         for line in made.notices:
             say(line)
         say(f"{folder}: {len(made.files)} topics, {sum(made.files.values())} messages")
+    _fail_if_nothing(bag_path, topic, len(made.files))
     _fail_if_damaged(bag_path, made.condition.damage, made.condition.messages)
 
 
@@ -143,7 +144,13 @@ def play(
     for name, reason in played.skipped.items():
         say(f"left out: {name}: {reason}")
     say(f"played {played.messages} messages")
+    _fail_if_nothing(bag_path, topic, played.messages + len(played.skipped))
     _fail_if_damaged(bag_path, played.damage, played.messages)
+
+
+def _fail_if_nothing(bag_path: Path, topics: list[str] | None, found: int) -> None:
+    if topics and not found:
+        raise ValorError(f"{bag_path}: no topic is like {', '.join(topics)}; `valorctl bag info` lists them")
 
 
 def _fail_if_damaged(bag_path: Path, damage: list[str], messages: int) -> None:
