@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from valor_analysis import style
 from valor_analysis.bag import Array
-from valor_analysis.bands import bands_of
+from valor_analysis.bands import bands_of, keys
 from valor_analysis.errors import BagError, SignalError
 from valor_analysis.lag import Lag, lag
 from valor_analysis.recording import Recording
@@ -117,7 +118,8 @@ def draw(recording: Recording, signals: Sequence[JointSignals], quantity: Quanti
     style.heading(figure, title, "goals of clients, VRC's set-points, the Motion System's commands, encoders")
     lines = ((GOAL, "goal"), (VRC, "VRC"), (MOTOR_COLOR, "motor command"), (MEASURED, "measured"))
     shown = lines if quantity == "position" else lines[1:]
-    handles = [Line2D([], [], color=color, linewidth=1.8, label=name) for color, name in shown]
+    handles: list[Artist] = [Line2D([], [], color=color, linewidth=1.8, label=name) for color, name in shown]
+    handles += keys(recording.behaviors(signals[0].measured[quantity].time))
     style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 1.0 - 0.12 / height), ncols=len(handles))
     return style.save(figure, file)
 
@@ -133,8 +135,9 @@ def neck(recording: Recording, signals: JointSignals, file: Path) -> Path:
         style.quiet(axes, quantity, "robot time [s]", "[rad]" if i == 0 else "[rad/s]")
     style.heading(figure, f"{signals.joint}: control signals", "goals give positions only, so no goal has a velocity")
     lines = ((GOAL, "goal"), (VRC, "VRC"), (MOTOR_COLOR, "motor command"), (MEASURED, "measured"))
-    handles = [Line2D([], [], color=color, linewidth=1.8, label=name) for color, name in lines]
-    style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 0.97), ncols=4)
+    handles: list[Artist] = [Line2D([], [], color=color, linewidth=1.8, label=name) for color, name in lines]
+    handles += keys(recording.behaviors(signals.measured["position"].time))
+    style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 0.97), ncols=len(handles))
     return style.save(figure, file)
 
 

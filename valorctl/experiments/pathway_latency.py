@@ -136,15 +136,18 @@ def _record(run: Run, bag: Path, profile: str) -> RobotDescription:
                 modes.publish(VigirControlModeCommand(requested_control_mode=mode))
                 ros.wait(lambda mode=mode: mode in told, PATIENCE, f"control mode {mode} is not reported")  # type: ignore[misc]
                 time_passes.rest(REST)
+            run.progress.done(f"{profile}: {changes} mode changes")
             joints = robot.tables.groups["right_arm"]
             home = np.array([robot.nominal_posture[robot.index[joint]] for joint in joints])
             commands = QUICK_COMMANDS if quick else COMMANDS
             for i in range(commands):
                 run.progress.waiting(f"motion {i + 1} of {commands}")
+                if i and i % 10 == 0:
+                    run.progress.done(f"{profile}: {i} of {commands} motions")
                 targets = [*(home + rng.uniform(-SWING, SWING, (POINTS - 1, len(joints)))), home]
                 arm.publish(_trajectory(joints, targets))
                 time_passes.rest(POINTS * INTERVAL + REST)
-    run.progress.done(f"{profile}: {changes} mode changes, {commands} motions")
+    run.progress.done(f"{profile}: {commands} motions")
     return robot
 
 
