@@ -226,6 +226,30 @@ def test_an_encoder_that_jumps_is_not_believed_and_its_joint_stays(bench: Bench)
         assert abs(truth - 0.4) < 0.45  # it went neither to where the encoder nor to where the command would have it
 
 
+def test_a_joint_that_is_knocked_is_believed(bench: Bench) -> None:
+    with bench.running() as driver:
+        send(driver, 0.0, 0.0)
+        comes_to(driver, YAW, 0.0)
+        with bench.lock:
+            plant = bench.robot.plant
+            plant.data.qvel[int(plant.model.mj.joint("neck_yaw").dofadr[0])] = 25.0  # four times what its motor can
+        wait_until(lambda: abs(position(driver, YAW)) > 0.15, 10, "the head turns")
+        comes_to(driver, YAW, 0.0)
+        assert driver.ailments == ()
+
+
+def test_a_servo_that_answers_seldom_holds_nobody_up(bench: Bench) -> None:
+    """Of ten requests it answers one: it is heard seldom, or found and lost again."""
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("neck_yaw", EmulatedFault.SLOW)
+        before = [record.states for record in driver.records]
+        wait_until(lambda: driver.records[PITCH].states > before[PITCH] + 100, 20, "the other's states")
+        assert driver.records[YAW].states - before[YAW] < 50, "less than half"
+        bench.heal()
+        sound(driver, YAW)
+
+
 def test_an_arm_of_another_series_with_its_gripper_on_the_same_bus(home: Path) -> None:
     """THOR's: seven servos whose numbers stand elsewhere, about a zero in the middle, and two like the head's."""
     thor = RobotDescription.load(ROBOTS / "thor")

@@ -39,6 +39,7 @@ from valor_common.robot import RobotDescription
 LATEST = 0.02  # an answer that was held up longer is not used [s]
 TICKS = 32768  # of a servo's clock, in milliseconds, until it begins anew
 ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
+LONGEST_READ = 0.02  # of all servos, whoever is missing; the time-out is 7 ms for each kind [s]
 SEEK_PERIOD = 0.5  # between attempts to find a servo or a port that is gone [s]
 COOL = 10  # below its limit, at which a servo that was too hot is used again [K]
 WARM = 10  # below its limit, from which on a servo is warm [K]
@@ -243,6 +244,7 @@ class DynamixelServos(Device):
 
     def _read(self) -> None:
         """Ask all servos for their states and take in what they answer."""
+        began = time.monotonic()
         for registers, reader in self._readers.items():
             asked = time.monotonic()
             answers = reader.read()
@@ -262,7 +264,8 @@ class DynamixelServos(Device):
         self.measured = JointMeasurement(
             self._stamp.copy(), self._position.copy(), self._velocity.copy(), self._effort.copy()
         )
-        self.looks += 1
+        if time.monotonic() - began < LONGEST_READ:  # otherwise this thread, or the line's kernel worker, was held up
+            self.looks += 1
 
     def _blame(self, reader: StatusReader) -> None:
         """Frames that could not be read are those of whoever is missing."""
