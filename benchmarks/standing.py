@@ -40,7 +40,8 @@ class Run:
 
     clock: str
     seed: int
-    ticks: np.ndarray  # [s], from Proprioceptor received to Motor sent
+    ticks: np.ndarray  # [s], from Proprioceptor at the socket to everything done
+    motors: np.ndarray  # [s], the part of it until Motor is sent
     height: np.ndarray  # true pelvis height [m]
     drift: float  # true pelvis, horizontally, from first to last [m]
     overruns: dict[str, int]
@@ -72,6 +73,7 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
             truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=2000)
             statistics = {service: node.subscriber(topic.name, Statistics) for service, topic in STATISTICS.items()}
             ticks: list[float] = []
+            motors: list[float] = []
             truth: list[GroundTruth] = []
             first: dict[str, Statistics] = {}
             last: dict[str, Statistics] = {}
@@ -84,7 +86,9 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
                     for subscriber in (states, truths, *statistics.values()):
                         subscriber.drain()
                     continue
-                ticks.extend(received.message.tick_time for received in states.drain())
+                heard = [received.message for received in states.drain()]
+                ticks.extend(state.tick_time for state in heard)
+                motors.extend(state.motor_time for state in heard)
                 truth.extend(received.message for received in truths.drain())
                 for service, subscriber in statistics.items():
                     if received := subscriber.latest():
@@ -104,6 +108,7 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
         clock=clock,
         seed=seed,
         ticks=np.array(ticks),
+        motors=np.array(motors),
         height=pelvis[:, 2],
         drift=float(np.linalg.norm(pelvis[-1, :2] - pelvis[0, :2])),
         overruns={service: last[service].overruns - first[service].overruns for service in last},
@@ -131,7 +136,8 @@ def main() -> None:
                 runs.append(measure(Path(home), clock, seed, arguments.seconds))
 
     table = Table(title=f"Standing for {arguments.seconds:g} s at 500 Hz, {os.cpu_count()} cores")
-    for heading in ("clock", "seed", "tick median [ms]", "p99", "max", "misses of 2 ms", "real-time factor", "slip [s]",
+    for heading in ("clock", "seed", "tick median [ms]", "p99", "max", "to Motor [ms]", "p99",
+                    "misses of 2 ms", "real-time factor", "slip [s]",
                     "pelvis height ± [mm]", "drift [mm]", "behavior", "load"):  # fmt: skip
         table.add_column(heading, justify="right")
     for run in runs:
@@ -143,6 +149,8 @@ def main() -> None:
             f"{np.median(milliseconds):.3f}",
             f"{np.percentile(milliseconds, 99):.3f}",
             f"{milliseconds.max():.2f}",
+            f"{np.median(run.motors) * 1e3:.3f}",
+            f"{np.percentile(run.motors, 99) * 1e3:.3f}",
             f"{misses} of {cycles} ({100 * misses / max(1, cycles):.2f} %)",
             f"{run.status['clock']['real_time_factor']:.3f}",
             f"{run.status['clock']['slip_s']:.2f}",
