@@ -124,7 +124,10 @@ def measure(options: argparse.Namespace, home: Path) -> list[tuple[str, float, d
 
         def phase(name: str, action: Callable[[], str]) -> None:
             before = watch.read()
-            said = action()
+            try:
+                said = action()
+            except ValorError as error:  # what was measured until then is worth telling
+                said = str(error)
             factor, _, cpu = watch.read().since(before)
             columns.append((name, factor, cpu, watch.commands()))
             print(f"{name}: {factor:.3f} × real time; {watch.behavior()}; {said}; {columns[-1][3]}", flush=True)

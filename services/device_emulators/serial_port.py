@@ -78,11 +78,14 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """Send to the driver; what does not fit into the line's buffer is lost, as on a wire."""
-        if self._device is None:
+        if self._device is None or self._driver_end is None:
             return
         sent = 0
         with contextlib.suppress(BlockingIOError, OSError):
             sent = os.write(self._device, data)
+            # A worker of the kernel's hands the bytes over, at low priority, and looking at the other end waits for it:
+            # a busy computer is to slow the robot down, not what its sensors say.
+            select.select((self._driver_end,), (), (), 0.0)
         self.lost += len(data) - sent
 
     def close(self) -> None:
