@@ -80,3 +80,8 @@ def _shape(array: FloatVector) -> tuple[int, int]:
 def parts(column: Expression) -> Any:
     """The numbers of a column, one by one: what ``rotation`` takes for a quaternion or a vector."""
     return tuple(ca.vertsplit(column))
+
+
+def clipped(value: Expression, lower: Expression, upper: Expression) -> Expression:
+    """The value within limits; NaN stays NaN, where ``casadi.fmin`` and ``fmax`` would make a limit of it."""
+    return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel
+from motion_manager.kernel import Expression, Kernel, clipped
 from valor_common.robot import FloatVector, RobotDescription
 
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
@@ -86,7 +86,7 @@ class Limiter:
         lower, upper, highest = ca.DM(self._lower), ca.DM(self._upper), ca.DM(self.velocity_limit)
         brake, step = ca.DM(self._brake), ca.DM(self.acceleration_limit) * dt
         half_step = 0.5 * dt * brake
-        error = _between(target, lower, upper) - target_velocity * dt - now
+        error = clipped(target, lower, upper) - target_velocity * dt - now
         distance = ca.fabs(error)
         # The greatest speed of approach from which braking in steps of dt still ends on the target.
         approach = ca.fmin(_braking_speed(distance, brake, half_step), distance / dt)
@@ -96,8 +96,10 @@ class Limiter:
         down = _braking_speed(ca.fmax(now - lower, 0.0), brake, half_step)
         velocity = ca.fmin(ca.fmin(velocity, up), highest)
         velocity = ca.fmax(ca.fmax(velocity, -down), -highest)
-        velocity = _between(velocity, before - step, before + step)
-        position = _between(now + velocity * dt, ca.fmin(lower, now), ca.fmax(upper, now))
+        velocity = clipped(velocity, before - step, before + step)
+        # A target that is no number must not become one on the way: who sends the command refuses it.
+        velocity = ca.if_else(ca.fabs(error) < np.inf, velocity, np.nan)
+        position = clipped(now + velocity * dt, ca.fmin(lower, now), ca.fmax(upper, now))
         velocity = (position - now) / dt
         return [ca.horzcat(position, velocity, (velocity - before) / dt).T]
 
@@ -109,10 +111,6 @@ class JointLimiter(Limiter):
         super().__init__(
             robot.lower, robot.upper, VELOCITY_FACTOR * robot.velocity_limit, robot.velocity_limit / ACCELERATION_TIME
         )
-
-
-def _between(value: Expression, lower: Expression, upper: Expression) -> Expression:
-    return ca.fmax(ca.fmin(value, upper), lower)
 
 
 def _braking_speed(distance: Expression, brake: Expression, half_step: Expression) -> Expression:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from motion_manager.kernel import Expression, Kernel
+from motion_manager.kernel import Expression, Kernel, clipped
 
 
 def test_arrays_are_read_and_written_as_they_lie() -> None:
@@ -31,6 +31,12 @@ def test_what_is_not_chosen_does_no_harm() -> None:
     kernel = Kernel("chosen", lambda x: [ca.if_else(x > 0.0, 1.0 / x, -1.0)], (value,), (result,))
     kernel()
     assert result[0] == -1.0
+
+
+def test_what_is_no_number_does_not_become_a_limit() -> None:
+    values, results = np.array((-2.0, 0.5, 2.0, np.nan)), np.zeros(4)
+    Kernel("clipped", lambda x: [clipped(x, -1.0, 1.0)], (values,), (results,))()
+    np.testing.assert_array_equal(results, (-1.0, 0.5, 1.0, np.nan))
 
 
 @pytest.mark.parametrize(

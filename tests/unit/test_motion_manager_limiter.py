@@ -212,3 +212,12 @@ def test_a_longer_period_keeps_the_limits_too(missed: int) -> None:
         allowed = SLACK * limiter.acceleration_limit * missed * DT
         assert (np.abs(limiter.velocity - before) <= allowed + 1e-9).all()
     assert np.allclose(limiter.position, goal, atol=1e-6)
+
+
+def test_a_target_that_is_no_number_does_not_become_one() -> None:
+    """Whoever sends the command must be able to refuse it."""
+    limiter = JointLimiter(ROBOT)
+    target = np.zeros(N)
+    target[3] = np.nan
+    limiter.advance(target, np.zeros(N), DT)
+    assert np.flatnonzero(~np.isfinite(limiter.position)).tolist() == [3]

@@ -16,9 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-import casadi as ca
-
-from motion_manager.kernel import Expression
+from motion_manager.kernel import Expression, clipped
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +42,9 @@ class DcmLaw:
         ``integral`` is i before.
         """
         error = dcm - reference
-        slow = ca.fmax(ca.fmin(error, self.integral_error), -self.integral_error)
+        slow = clipped(error, -self.integral_error, self.integral_error)
         integral = integral + self.integral_gain * dt * slow
-        integral = ca.fmax(ca.fmin(integral, self.integral_limit), -self.integral_limit)
+        integral = clipped(integral, -self.integral_limit, self.integral_limit)
         return vrp_reference + (1.0 + self.gain / self.omega) * error + integral, integral
 
     def acceleration(self, com: Expression, repellent_point: Expression) -> Expression:

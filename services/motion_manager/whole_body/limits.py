@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from motion_manager.kernel import Expression
+from motion_manager.kernel import Expression, clipped
 from valor_common.model import Indices
 from valor_common.robot import RobotDescription, WholeBody
 
@@ -30,7 +30,7 @@ class JointLimits:
         """(nj,) lower and upper bounds of joint accelerations [rad/s²] at (nj,) ``position`` and ``velocity``."""
         most = self._velocity
         lower, upper = (
-            self._response * (ca.fmax(ca.fmin(self._approach * (end - position), most), -most) - velocity)
+            self._response * (clipped(self._approach * (end - position), -most, most) - velocity)
             for end in (self._lower, self._upper)
         )
         return lower, upper

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from motion_manager.kernel import Expression
+from motion_manager.kernel import Expression, clipped
 from motion_manager.whole_body import rotation
 from valor_common.robot import RobotDescription
 
@@ -166,12 +166,8 @@ class StandReference:
 
     def _shift(self, level: Expression, led: Led) -> Expression:
         """(3,) of the CoM with the arms, limited, and with the pelvis; both together well inside the soles."""
-        shift = _clipped(led.rotation @ led.arms_com, self._limit)
-        return level @ _clipped(shift + led.com, self._inside)
-
-
-def _clipped(vector: Expression, limit: Expression) -> Expression:
-    return ca.fmin(ca.fmax(vector, -limit), limit)
+        shift = clipped(led.rotation @ led.arms_com, -self._limit, self._limit)
+        return level @ clipped(shift + led.com, -self._inside, self._inside)
 
 
 def _turned(vector: Expression) -> Expression:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from motion_manager.kernel import Expression, Kernel
+from motion_manager.kernel import Expression, Kernel, clipped
 from motion_manager.whole_body.dynamics import ModelJoints
 from motion_manager.whole_body.state import FloatArray
 from valor_common.robot import RobotDescription
@@ -73,7 +73,7 @@ class SetPoints:
         nj = position.shape[0]
         accelerations, torques, measured = solved[6 : 6 + nj], solved[6 + nj : 6 + 2 * nj], solved[6 + 2 * nj :]
         velocity = velocity + accelerations * dt
-        position = ca.fmin(ca.fmax(position + velocity * dt, ca.DM(self._lower)), ca.DM(self._upper))
+        position = clipped(position + velocity * dt, ca.DM(self._lower), ca.DM(self._upper))
         told = [ca.SX(self._joints, 1), ca.SX(self._joints, 1), ca.SX(measured), ca.SX(self._joints, 1)]
         led = np.flatnonzero(self.integrated).tolist()
         places = [self._indices[joint] for joint in led]

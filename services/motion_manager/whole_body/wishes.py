@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel
+from motion_manager.kernel import Expression, Kernel, clipped
 from motion_manager.whole_body import stance
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.dcm import DcmLaw
@@ -242,7 +242,7 @@ class Wishes:
         stiffness, damping = self._table.posture_stiffness, self._table.posture_damping
         places, rate, acceleration = (ca.SX(asked[i, :].T) for i in range(3))
         places[self._legs], rate[self._legs], acceleration[self._legs] = legs, 0.0, 0.0
-        catch_up = ca.fmax(ca.fmin(stiffness / damping * (places - position), self._catch_up), -self._catch_up)
+        catch_up = clipped(stiffness / damping * (places - position), -self._catch_up, self._catch_up)
         return acceleration + damping * (rate + catch_up - velocity)
 
 
