@@ -289,13 +289,18 @@ def _device_rows(bench: Bench) -> dict[str, tuple[int, str]]:
 
     from valorctl.ros_client import RosClient
 
-    heard: list[DiagnosticArray] = []
-    with RosClient(bench.instance, bench.hear) as ros:
-        ros.subscribe(DiagnosticArray, "/diagnostics", heard.append, 1)
-        ros.wait(lambda: len(heard) > 1, 10.0, "/diagnostics silent")
-    rows = [row for row in heard[-1].status if row.name.startswith(DEVICE_ROW)]
+    rows: dict[str, tuple[int, str]] = {}
     whole = {"rate [Hz]", "latency [ms]", "age [ms]"}
-    return {row.name: (row.level[0], row.message) for row in rows if {pair.key for pair in row.values} >= whole}
+
+    def hear(message: DiagnosticArray) -> None:  # drivers publish there, too
+        for row in message.status:
+            if row.name.startswith(DEVICE_ROW) and {pair.key for pair in row.values} >= whole:
+                rows[row.name] = row.level[0], row.message
+
+    with RosClient(bench.instance, bench.hear) as ros:
+        ros.subscribe(DiagnosticArray, "/diagnostics", hear, 10)
+        ros.wait(lambda: bool(rows), 10.0, "/diagnostics: no unit of a device")
+    return rows
 
 
 TRIALS: dict[str, Callable[[Bench], Values]] = {
