@@ -114,7 +114,7 @@ class StatisticsPublisher:
         self._count = counts
 
     def cycle(self, began: float, waited: float = 0.0) -> None:
-        """Count a cycle that began at ``began`` [``time.perf_counter()``, s] and ends now.
+        """Count a cycle that began at ``began`` [``time.perf_counter()``, s; Linux: the monotonic clock] and ends now.
 
         ``waited`` [s] of it were spent waiting, not working.
         """
