@@ -20,6 +20,7 @@ from valorctl.instance_setup import domains_taken
 
 DEPTH = 100
 _WINDOW = 1_000_000_000  # within which a bag's messages may stand out of order [ns]
+_FEEDBACK = "_Feedback"  # ends the name of the type of an action's feedback
 _DISCOVERY = 1.0  # in which those who listen already are found [s]
 
 
@@ -143,8 +144,7 @@ class _Publishers:
         publisher = self._publishers.get(topic.name)
         if publisher is None:
             try:
-                package, kind, base = topic.type.split("/")
-                message_type = getattr(importlib.import_module(f"{package}.{kind}"), base)
+                message_type = _message_type(topic.type)
             except (ValueError, ImportError, AttributeError):
                 self.skipped[topic.name] = f"type {topic.type or 'unknown'} is not installed here"
                 return None
@@ -168,3 +168,12 @@ class _Publishers:
 
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=5))
+
+
+def _message_type(name: str) -> Any:
+    """The Python class of a ROS type; of ``package/action/Name_Feedback``, too."""
+    package, kind, base = name.split("/")
+    module = importlib.import_module(f"{package}.{kind}")
+    if kind == "action" and base.endswith(_FEEDBACK):
+        return getattr(module, base.removesuffix(_FEEDBACK)).Feedback
+    return getattr(module, base)

@@ -527,6 +527,9 @@ def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
     kept = RecordedTopic("/kept", "std_msgs/msg/String", definition("std_msgs/msg/String"))
     chatter = RecordedTopic("/chatter", "std_msgs/msg/String", definition("std_msgs/msg/String"), "durability: 1", True)
     unknown = RecordedTopic("/wand", "magic_msgs/msg/Wand", "bool on\n")
+    feedback_type = "vigir_humanoid_control_msgs/action/ChangeControlMode_Feedback"
+    feedback = RecordedTopic("/arm/state", feedback_type, definition(feedback_type))
+    bag.write(feedback, 0, 0, 0, serialize_message(ChangeControlMode.Feedback()))
     for number in (1, 0, 3, 2, 4):  # a recorder writes one topic after the other
         bag.write(chatter, number * SECOND // 5, 0, number, serialize_message(String(data=str(number))))
     bag.write(kept, 0, 0, 0, serialize_message(String(data="first")))
@@ -556,6 +559,6 @@ def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
 
     wait_until(spun, 30.0, "all five are heard", 0.0)
     player.join(20.0)
-    assert done[0].messages == 6 and list(done[0].skipped) == ["/wand"]
+    assert done[0].messages == 7 and list(done[0].skipped) == ["/wand"]
     assert heard == ["0", "1", "2", "3", "4"]
     assert time.monotonic() - began > 0.8
