@@ -16,7 +16,6 @@ from motion_manager.behaviors import (
     INTERNAL_STATES,
     LOCOMOTION_TRANSITIONS,
     MANIPULATION_TRANSITIONS,
-    UNAVAILABLE,
     Attention,
     Behavior,
     Locomotion,
@@ -57,6 +56,7 @@ class Conditions:
     not_loaded: str = ""  # the feet do not both carry weight
     not_upright: str = ""  # the pelvis is tilted
     stepping: str = ""  # a step has not come to rest yet
+    cannot_get_up: str = ""  # the robot has no way up from where it lies
 
 
 GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ...]] = {
@@ -69,6 +69,9 @@ GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ..
     (Behavior.STAND, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
     (Behavior.STAND_MANIPULATE, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
     (Behavior.SOFT_STOP, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
+    (Behavior.FALL, Behavior.GET_UP): (lambda conditions: conditions.cannot_get_up,),
+    # On its way up the robot stands only by its own word.
+    (Behavior.GET_UP, Behavior.STAND_PREP): (lambda _: "the robot has not finished getting up",),
 }
 """What must hold for an edge to be taken on request: each gives the reason against it, or an empty text."""
 
@@ -90,8 +93,7 @@ class BehaviorFsm:
         changes: how often it changed.
     """
 
-    def __init__(self, unavailable: Mapping[Locomotion, str] = UNAVAILABLE) -> None:
-        self._unavailable = unavailable
+    def __init__(self) -> None:
         self._behavior = StateMachine(BEHAVIOR_TRANSITIONS, Behavior.IDLE)
         locomotion, manipulation, attention = INTERNAL_STATES[Behavior.IDLE]
         self._locomotion = StateMachine(LOCOMOTION_TRANSITIONS, locomotion)
@@ -125,8 +127,6 @@ class BehaviorFsm:
         here = self.behavior
         if target is here:
             return ""
-        if missing := self._unavailable.get(INTERNAL_STATES[target][0]):
-            return missing
         if target not in BEHAVIOR_TRANSITIONS[here]:
             allowed = ", ".join(sorted(self.reachable)) or "none"
             return f"no transition from {here} to {target}; from here: {allowed}"
@@ -137,12 +137,8 @@ class BehaviorFsm:
 
     @property
     def reachable(self) -> list[Behavior]:
-        """Behaviors that one transition leads to, as far as this build can execute them."""
-        return [
-            target
-            for target in BEHAVIOR_TRANSITIONS[self.behavior]
-            if INTERNAL_STATES[target][0] not in self._unavailable
-        ]
+        """Behaviors that one transition leads to."""
+        return list(BEHAVIOR_TRANSITIONS[self.behavior])
 
     def request(self, target: Behavior, conditions: Conditions, origin: str) -> Verdict:
         """Somebody asks for a behavior: go there, or say why not. Asking for the present one is accepted."""

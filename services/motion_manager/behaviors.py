@@ -80,7 +80,7 @@ BEHAVIOR_TRANSITIONS: Mapping[Behavior, Mapping[Behavior, str]] = {
     _B.SOFT_STOP: {_B.STAND: "I", _B.FREEZE: "I", _B.FALL: "I"},
     _B.FREEZE: {_B.IDLE: "I", _B.STAND_PREP: "P"},
     _B.FALL: {_B.FREEZE: "I", _B.GET_UP: "T"},
-    _B.GET_UP: {_B.STAND_PREP: "I"},
+    _B.GET_UP: {_B.STAND_PREP: "I", _B.FALL: "I"},
 }  # fmt: skip
 """Figure 3.8: from → to → source. Staying is always allowed and does nothing."""
 
@@ -93,7 +93,7 @@ LOCOMOTION_TRANSITIONS: Mapping[Locomotion, Mapping[Locomotion, str]] = {
     _L.SOFT_STOP: {_L.STAND: "I", _L.FREEZE: "I", _L.FALL: "I"},
     _L.FREEZE: {_L.STAND_PREP: "P", _L.IDLE: "I"},
     _L.FALL: {_L.GET_UP: "T", _L.FREEZE: "I"},
-    _L.GET_UP: {_L.STAND_PREP: "I"},
+    _L.GET_UP: {_L.STAND_PREP: "I", _L.FALL: "I"},
 }  # fmt: skip
 """Figure 3.7, Locomotion."""
 
@@ -136,11 +136,6 @@ BALANCING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK, _L.SOF
 
 RECOVERING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK})
 """Where a robot at rest steps by itself when its feet cannot hold it. In Soft Stop nothing begins any more."""
-
-UNAVAILABLE: Mapping[Locomotion, str] = {
-    _L.GET_UP: "getting up is not available: there is no get-up routine",
-}
-"""What this build cannot execute, and what it lacks. Delete a line when the capability lands."""
 
 JOINT_ACCESS: Mapping[type[StrEnum], tuple[str, ...]] = {
     Locomotion: ("left_leg", "right_leg"),

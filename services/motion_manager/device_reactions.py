@@ -13,7 +13,7 @@ _B = Behavior
 DEMANDS: Mapping[str, tuple[Behavior, ...]] = {
     "keep_balance": (),
     "soft_stop": (_B.SOFT_STOP,),
-    "hold": (_B.FREEZE, _B.SOFT_STOP),
+    "hold": (_B.FREEZE, _B.SOFT_STOP, _B.FALL),
     "limp": (_B.FALL, _B.SOFT_STOP, _B.FREEZE),
 }
 """``DeviceStatus.reaction`` → behaviors, the wanted one first; the others are ways there, or better than nothing."""
@@ -22,8 +22,8 @@ _ENOUGH: Mapping[str, frozenset[Behavior]] = {
     "keep_balance": frozenset(Behavior),
     # Before it balances, the robot stands on its servos and obeys nobody.
     "soft_stop": frozenset({_B.SOFT_STOP, _B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE, _B.STAND_PREP}),
-    "hold": frozenset({_B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE}),
-    "limp": frozenset({_B.FALL, _B.GET_UP, _B.IDLE}),
+    "hold": frozenset({_B.FREEZE, _B.FALL, _B.IDLE}),
+    "limp": frozenset({_B.FALL, _B.IDLE}),
 }
 """Behaviors in which nothing more is to be done."""
 

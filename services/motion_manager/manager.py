@@ -16,6 +16,7 @@ from motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from motion_manager.behaviors import BALANCING, RECOVERING, Behavior, Locomotion, Manipulation
 from motion_manager.command import MotorCommand
 from motion_manager.device_reactions import DeviceReactions
+from motion_manager.get_up import GetUp
 from motion_manager.hand_contact import HandContacts
 from motion_manager.hand_goals import HandGoals
 from motion_manager.handlers.behavior import BehaviorHandler
@@ -96,6 +97,7 @@ class MotionManager:
         self._reference = JointReference(robot)
         self._posture = PostureControl(robot, self._reference, self._command)
         self._upper_body = UpperBody(robot, self._reference)
+        self._get_up = GetUp(robot)
         self.behavior_handler = BehaviorHandler(self.fsm, self.rejections, self.conditions, self.out_of_control)
         self.hand_goals = HandGoals(model, self._reference, robot.nominal_posture)
         self.hand_goal_handler = HandGoalHandler(self.fsm, self.hand_goals, self.rejections)
@@ -174,12 +176,18 @@ class MotionManager:
         state = self._state
         if state is None:
             missing = "the robot's state is not known yet"
-            return Conditions(missing, missing, missing)
+            return Conditions(missing, missing, missing, cannot_get_up=missing)
         not_prepared = "stand_prep has just begun"
         if self._locomotion is Locomotion.STAND_PREP:
             not_prepared = self._posture.not_arrived(self._time * 1e-9, state.joint_velocity)
         stepping = "the robot has not come to rest from stepping yet" if self._controller.stepping else ""
-        return Conditions(not_prepared, self._not_loaded(state), self._not_upright(state) or self._falling, stepping)
+        return Conditions(
+            not_prepared,
+            self._not_loaded(state),
+            self._not_upright(state) or self._falling,
+            stepping,
+            self._get_up.refusal(state),
+        )
 
     def out_of_control(self) -> str:
         """Why there is no robot to change the behavior of; an empty text: there is one."""
@@ -211,6 +219,8 @@ class MotionManager:
             self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
         self.device_reactions.update()
         now = self._time * 1e-9
+        if self._locomotion is self.fsm.locomotion is Locomotion.GET_UP:
+            self._rise(state, now)
         self._upper_body.enter(self.fsm.manipulation, self.fsm.attention, now)
         if self.fsm.locomotion is not self._locomotion:
             self._enter(state, now)
@@ -235,7 +245,7 @@ class MotionManager:
         """Whatever held the joints begins anew, from where they are found."""
         if gap:
             self._find_again(gap, state)
-        if self.fsm.locomotion not in (Locomotion.FALL, Locomotion.GET_UP):
+        if self.fsm.locomotion is not Locomotion.FALL:
             if self._locomotion in self._step_sources:
                 self._end_stepping(self.fsm.locomotion)
             self._locomotion = None
@@ -249,6 +259,7 @@ class MotionManager:
         _log.warning("%s", gap.reason)
         lost = "" if gap.same_world else "it is not known"
         lost = lost or ("it was stepping" if self._controller.stepping else "")
+        lost = lost or ("it was getting up" if self.fsm.locomotion is Locomotion.GET_UP else "")
         lost = lost or self._not_upright(state) or self._not_loaded(state)
         if lost:
             self._fall(f"{gap.reason}; {lost}" if gap.same_world else gap.reason)
@@ -289,13 +300,15 @@ class MotionManager:
                 self._blend_began = now
             return
         self._controller.leave()
+        if locomotion is Locomotion.GET_UP:
+            self._get_up.begin(state, now)
         if locomotion in (Locomotion.FALL, Locomotion.GET_UP):
             return
         if before is None:
             self._posture.take_up(state.joint_position, state.joint_effort)
-        elif before in (Locomotion.FALL, Locomotion.GET_UP):
+        elif before is Locomotion.FALL:
             self._posture.take_up(state.joint_position, np.zeros_like(state.joint_effort))
-        elif before in BALANCING:
+        elif before in BALANCING or before is Locomotion.GET_UP:
             self._posture.take_over(state.joint_position)
         else:
             self._posture.hold(now)
@@ -304,12 +317,30 @@ class MotionManager:
 
     def _drive(self, state: RobotState, now: float, dt: float) -> None:
         """Fill the command of this period."""
-        if self._locomotion in (Locomotion.FALL, Locomotion.GET_UP):
+        if self._locomotion is Locomotion.FALL:
             self._command.limp(state.joint_position)
+        elif self._locomotion is Locomotion.GET_UP:
+            self._get_up.drive(self._command, now)
         elif self._locomotion in BALANCING:
             self._balance(state, now, dt)
         else:
             self._posture.drive(now)
+
+    def _rise(self, state: RobotState, now: float) -> None:
+        """Get Up goes on; up, the robot goes to Stand Prep by itself, and back to Fall when it cannot."""
+        get_up = self._get_up
+        before = get_up.progress
+        get_up.update(state, now)
+        if get_up.failure:
+            self._fall(f"getting up was given up: {get_up.failure}")
+        elif get_up.done and (reason := self._not_upright(state) or self._not_loaded(state)):
+            self._fall(f"getting up was given up: {reason}")
+        elif get_up.done:
+            self._estimator.reset()
+            self._detector.reset()
+            self.fsm.go(Behavior.STAND_PREP, "up again")
+        elif get_up.progress != before:
+            self.fsm.remark(get_up.progress)
 
     def _end_stepping(self, locomotion: Locomotion) -> None:
         """Step or Walk is left: what has begun comes to rest, if somebody balances."""

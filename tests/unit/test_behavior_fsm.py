@@ -15,7 +15,6 @@ from motion_manager.behaviors import (
     BEHAVIOR_TRANSITIONS,
     INTERNAL_STATES,
     OPERATIONAL,
-    UNAVAILABLE,
     Behavior,
     Manipulation,
 )
@@ -33,8 +32,8 @@ def path_to(target: Behavior) -> list[Behavior]:
     return paths[0]
 
 
-def machine_in(behavior: Behavior, *, everything: bool) -> BehaviorFsm:
-    fsm = BehaviorFsm({} if everything else UNAVAILABLE)
+def machine_in(behavior: Behavior) -> BehaviorFsm:
+    fsm = BehaviorFsm()
     for step in path_to(behavior)[1:]:
         fsm.go(step, "test")
     assert fsm.behavior is behavior
@@ -42,10 +41,14 @@ def machine_in(behavior: Behavior, *, everything: bool) -> BehaviorFsm:
 
 
 @pytest.mark.parametrize(("here", "there"), list(product(Behavior, Behavior)))
-def test_every_request_in_every_behavior_of_a_complete_build(here: Behavior, there: Behavior) -> None:
-    fsm = machine_in(here, everything=True)
+def test_every_request_in_every_behavior_(here: Behavior, there: Behavior) -> None:
+    fsm = machine_in(here)
     before = fsm.reason, fsm.changes
     verdict = fsm.request(there, FINE, "somebody")
+    by_itself = (here, there) == (Behavior.GET_UP, Behavior.STAND_PREP)
+    if by_itself:
+        assert (verdict.accepted, verdict.reason) == (False, "the robot has not finished getting up")
+        return
     allowed = there is here or there in BEHAVIOR_TRANSITIONS[here]
     assert verdict.accepted == allowed
     assert fsm.behavior is (there if allowed else here)
@@ -61,31 +64,9 @@ def test_every_request_in_every_behavior_of_a_complete_build(here: Behavior, the
         assert (fsm.reason, fsm.changes) == before
 
 
-@pytest.mark.parametrize(("here", "there"), list(product(Behavior, Behavior)))
-def test_every_request_in_every_behavior_of_this_build(here: Behavior, there: Behavior) -> None:
-    fsm = machine_in(here, everything=False)
-    verdict = fsm.request(there, FINE, "somebody")
-    missing = UNAVAILABLE.get(INTERNAL_STATES[there][0])
-    if missing and there is not here:
-        assert not verdict.accepted
-        assert verdict.reason == missing
-        assert fsm.behavior is here
-    else:
-        assert verdict.accepted == (there is here or there in BEHAVIOR_TRANSITIONS[here])
-
-
-@pytest.mark.parametrize("here", Behavior)
-def test_refusals_list_only_what_this_build_can_do(here: Behavior) -> None:
-    fsm = machine_in(here, everything=False)
-    for there in Behavior:
-        reason = fsm.refusal(there, FINE)
-        if "from here:" in reason:
-            assert not set(reason.split("from here: ")[1].split(", ")) & {str(s) for s in UNAVAILABLE}
-
-
 @pytest.mark.parametrize("flaw", ["not_prepared", "not_loaded", "not_upright"])
 def test_stand_is_refused_from_stand_prep_for_each_flaw(flaw: str) -> None:
-    fsm = machine_in(Behavior.STAND_PREP, everything=False)
+    fsm = machine_in(Behavior.STAND_PREP)
     verdict = fsm.request(Behavior.STAND, Conditions(**{flaw: "because of the test"}), "somebody")
     assert (verdict.accepted, verdict.reason) == (False, "because of the test")
     assert fsm.behavior is Behavior.STAND_PREP
@@ -145,10 +126,6 @@ class AnythingMayHappen(RuleBasedStateMachine):
     def internal_states_are_those_of_the_table(self) -> None:
         fsm = self.fsm
         assert (fsm.locomotion, fsm.manipulation, fsm.attention) == INTERNAL_STATES[fsm.behavior]
-
-    @invariant()
-    def nothing_that_is_unavailable_is_entered(self) -> None:
-        assert self.fsm.locomotion not in UNAVAILABLE
 
     @invariant()
     def every_step_is_an_edge(self) -> None:

@@ -42,7 +42,7 @@ walk_manipulate   .    .          I2    .                .    .               T 
 soft_stop         .    .          I     .                .    .               .    .               -         I      I    .
 freeze            I    P          .     .                .    .               .    .               .         -      .    .
 fall              .    .          .     .                .    .               .    .               .         I      -    T
-get_up            .    I          .     .                .    .               .    .               .         .      .    -
+get_up            .    I          .     .                .    .               .    .               .         .      I    -
 """  # noqa: E501
 
 

@@ -202,10 +202,10 @@ def arrive(fsm: BehaviorFsm, target: Behavior) -> None:
         fsm.go(behavior, "test")
 
 
-@pytest.mark.parametrize("start", [behavior for behavior in Behavior if behavior is not Behavior.GET_UP])
+@pytest.mark.parametrize("start", Behavior)
 @pytest.mark.parametrize("reaction", DEMANDS)
 def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, reaction: str) -> None:
-    fsm = BehaviorFsm({})
+    fsm = BehaviorFsm()
     arrive(fsm, start)
     stepping = [True]
     reactions = DeviceReactions(fsm, lambda: stepping[0])
@@ -224,6 +224,7 @@ def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, react
     expected = {
         Behavior.IDLE: Behavior.IDLE,
         Behavior.FALL: Behavior.FALL,
+        Behavior.GET_UP: Behavior.GET_UP if reaction == "soft_stop" else Behavior.FALL,
         Behavior.FREEZE: Behavior.FREEZE,
         Behavior.STAND_PREP: Behavior.STAND_PREP if reaction == "soft_stop" else Behavior.FREEZE,
         Behavior.SOFT_STOP: balancing,

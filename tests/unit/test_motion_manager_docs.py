@@ -14,7 +14,6 @@ from motion_manager.behaviors import (
     JOINT_ACCESS,
     LOCOMOTION_TRANSITIONS,
     MANIPULATION_TRANSITIONS,
-    UNAVAILABLE,
     Behavior,
 )
 from tests.conftest import REPOSITORY
@@ -50,13 +49,6 @@ def tables() -> dict[str, str]:
     }
     return {
         "behaviors": behaviors(),
-        "unavailable": rows(
-            ("behaviors", "refused with"),
-            *(
-                (", ".join(f"`{b}`" for b, states in INTERNAL_STATES.items() if states[0] is state), reason)
-                for state, reason in UNAVAILABLE.items()
-            ),
-        ),
         "internal": rows(
             ("behavior", "Locomotion", "Manipulation", "Attention"),
             *((f"`{behavior}`", *(f"`{state}`" for state in states)) for behavior, states in INTERNAL_STATES.items()),

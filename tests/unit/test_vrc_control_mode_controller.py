@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from motion_manager.behavior_fsm import BehaviorFsm, Conditions, Verdict
 from motion_manager.behaviors import OPERATIONAL, Behavior
 from tests.unit.vrc_in_process import ModeClient
 from valor_common.messages import ModeStatus
@@ -32,7 +32,7 @@ class Plant:
     """A Motion Manager's state machine behind the interface's transitions; a message takes one cycle each way."""
 
     def __init__(self) -> None:
-        self.fsm = BehaviorFsm(unavailable={})
+        self.fsm = BehaviorFsm()
         self.fsm.go(Behavior.STAND_PREP, "start")
         self.behavior = ""
         self.behavior_reason = ""
@@ -40,6 +40,7 @@ class Plant:
         self.deaf = False
         self.asked: list[str] = []
         self.now = 0.0
+        self.against = ""  # what the Motion System has against any request
         self._transition: BehaviorTransition | None = None
         self._number = 1
         self._answer: BehaviorAnswer | None = None
@@ -69,7 +70,10 @@ class Plant:
                 command = self._transition.update(self.now, self.behavior, self.behavior_reason, answer)
                 if command and not self.deaf:
                     self.asked.append(command[1])
-                    verdict = self.fsm.request(Behavior(command[1]), Conditions(), "test")
+                    if self.against:
+                        verdict = Verdict(False, self.against)
+                    else:
+                        verdict = self.fsm.request(Behavior(command[1]), Conditions(), "test")
                     self._answer = BehaviorAnswer(command[0], verdict.accepted, verdict.reason)
             self.controller.update(self._hw)
 
@@ -122,7 +126,7 @@ def test_a_transition_that_the_table_lacks_is_invalid_and_sends_nothing(plant):
 
 def test_a_refusal_leaves_the_actual_mode_and_carries_the_reason(plant):
     plant.ask("stand")
-    plant.fsm._unavailable = {plant.fsm.locomotion.__class__.WALK: "walking is not available"}
+    plant.against = "walking is not available"
     result = plant.ask("walk_manipulate")
     assert result == ModeReport("walk_manipulate", "stand", S.MODE_REJECTED)
     assert "walking is not available" in plant.controller.last_refusal

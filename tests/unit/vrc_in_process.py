@@ -159,7 +159,7 @@ class MotionSystem:
     """The Motion Manager without its Whole-Body Controller: joints are where its references are, less some sag."""
 
     def __init__(self, time: int, position: FloatVector) -> None:
-        self.fsm = BehaviorFsm(unavailable={})
+        self.fsm = BehaviorFsm()
         self.reference = JointReference(ROBOT)
         table, height = ROBOT.tables.pelvis, ROBOT.tables.nominal_base_height
         self._pelvis = Limiter(

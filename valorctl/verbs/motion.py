@@ -1,4 +1,4 @@
-"""``mode``, ``arm``, ``hand``, ``walk``, ``push``."""
+"""``mode``, ``arm``, ``hand``, ``walk``, ``push``, ``get-up``."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ def register(app: typer.Typer) -> None:
     app.command()(hand)
     app.command()(walk)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
+    app.command(name="get-up")(get_up)
 
 
 def mode(
@@ -193,3 +194,17 @@ def push(
     status.require_up(instance)
     reply = pushing.push(instance, (x, y, z))
     say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
+
+
+def get_up(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+    """Get up after a fall; the robot ends in stand_prep."""
+    from valorctl import getting_up, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with progress() as shown, Interruption() as interruption:
+        duration = getting_up.get_up(instance, interruption.check, shown.waiting)
+    if json:
+        say_json({"duration_s": duration})
+    else:
+        say(f"up again after {duration:.1f} s; stand_prep")

@@ -1,0 +1,143 @@
+"""Getting up from the floor: key poses of a table, one after the other, each checked before the next.
+
+The joints go by their servos from key pose to key pose, minimum jerk. Which attitude the pelvis must have at the end of
+each is part of the table: a robot that is elsewhere has slipped, is held or was not lying as it seemed, and gives up.
+The table is made offline, by optimisation (docs/motion_manager.md).
+"""
+
+from __future__ import annotations
+
+from math import asin, atan2, degrees
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta
+
+from motion_manager.command import MotorCommand
+from motion_manager.posture_move import PostureMove
+from motion_manager.whole_body import RobotState
+from valor_common.errors import ConfigurationError
+from valor_common.robot import FloatVector, RobotDescription
+from valor_common.table import NonNegative, Positive, Table, read
+
+FILE = "get_up.yaml"  # in the robot's folder
+VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
+ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]
+AT_REST = 0.5  # lying still: angular velocity of the pelvis below [rad/s]
+
+
+class KeyPose(Table):
+    """Where joints go, how long they take, and how the pelvis is to lie or stand afterwards."""
+
+    name: str
+    duration: Positive  # [s]
+    hold: NonNegative = 0.0  # then [s]
+    pitch: Annotated[list[float], Meta(min_length=2, max_length=2)]  # of the pelvis afterwards, from and to [deg]
+    joints: dict[str, float]  # [rad]; the others stay where the pose before had them
+
+
+class GetUpTable(Table):
+    """``get_up.yaml``: how a robot gets up from where it may lie."""
+
+    roll: Positive  # of the pelvis, at most [deg]
+    face_down: Annotated[list[KeyPose], Meta(min_length=1)]
+
+
+class GetUp:
+    """One robot's way up. Times are robot time [s].
+
+    Attributes:
+        progress: what is being done, for people.
+        failure: why it was given up; empty: it was not.
+        done: whether the last key pose is reached.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        """Read the robot's table, if it has one.
+
+        Raises:
+            ConfigurationError: the table is wrong, or names a joint that the robot does not have.
+        """
+        self._robot = robot
+        file = robot.folder / FILE
+        self._table = read(GetUpTable, file) if file.is_file() else None
+        self._goals: list[FloatVector] = []
+        self._poses: list[KeyPose] = self._table.face_down if self._table else []
+        posture = robot.nominal_posture
+        for pose in self._poses:
+            if unknown := [name for name in pose.joints if name not in robot.index]:
+                raise ConfigurationError(f"{file}: face_down: {pose.name}: unknown joint {unknown[0]!r}")
+            posture = posture.copy()
+            posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
+            self._goals.append(np.clip(posture, robot.lower, robot.upper))
+        self._velocity = VELOCITY_FACTOR * robot.velocity_limit
+        self._acceleration = robot.velocity_limit / ACCELERATION_TIME
+        self._no_effort = np.zeros(len(robot.joints))
+        self._stage = 0
+        self._move: PostureMove | None = None
+        self.progress = self.failure = ""
+        self.done = False
+
+    def refusal(self, state: RobotState) -> str:
+        """Why the robot cannot get up from where it lies; an empty text: it can."""
+        if self._table is None:
+            return f"getting up is not available: {self._robot.name} has no {FILE}"
+        if (rate := float(np.abs(state.pelvis_angular_velocity_in_pelvis).max())) > AT_REST:
+            return f"the robot does not lie still: the pelvis turns at {rate:.1f} rad/s; expected at most {AT_REST}"
+        pitch, roll = attitude(state)
+        lower, upper = self._poses[0].pitch
+        if abs(roll) > self._table.roll or not lower <= pitch <= upper:
+            return (
+                f"the robot gets up from face-down only: the pelvis is pitched {pitch:.0f}° and rolled {roll:.0f}°; "
+                f"expected {lower:.0f} to {upper:.0f}° and at most {self._table.roll:.0f}°"
+            )
+        return ""
+
+    def begin(self, state: RobotState, now: float) -> None:
+        """Start with the first key pose from where the joints are."""
+        self.failure, self.done, self._stage = "", False, 0
+        self._go(state.joint_position, now)
+
+    def update(self, state: RobotState, now: float) -> None:
+        """Go on: next key pose, done, or given up."""
+        assert self._move is not None
+        pose = self._poses[self._stage]
+        _, roll = attitude(state)
+        if self._table is not None and abs(roll) > self._table.roll:
+            self.failure = f"{pose.name}: the pelvis rolled {roll:.0f}°; expected at most {self._table.roll:.0f}°"
+            return
+        if self._move.since_arrival(now) < pose.hold:
+            return
+        pitch, _ = attitude(state)
+        lower, upper = pose.pitch
+        if not lower <= pitch <= upper:
+            self.failure = f"after {pose.name} the pelvis is pitched {pitch:.0f}°; expected {lower:.0f} to {upper:.0f}°"
+        elif self._stage + 1 == len(self._poses):
+            self.done = True
+        else:
+            self._stage += 1
+            self._go(self._move.goal, now)
+
+    def drive(self, command: MotorCommand, now: float) -> None:
+        """Fill the command of this period."""
+        assert self._move is not None
+        position, velocity, _ = self._move.at(now)
+        command.hold(position, velocity, self._no_effort)
+
+    def _go(self, start: FloatVector, now: float) -> None:
+        pose = self._poses[self._stage]
+        self.progress = f"getting up, {self._stage + 1} of {len(self._poses)}: {pose.name}"
+        self._move = PostureMove(
+            start,
+            self._goals[self._stage],
+            velocity=self._velocity,
+            acceleration=self._acceleration,
+            began=now,
+            shortest=pose.duration,
+        )
+
+
+def attitude(state: RobotState) -> tuple[float, float]:
+    """Pitch of the pelvis, −180 to 180 (face-down: 90), and how its left side is raised, −90 to 90 [deg]."""
+    forward, left, up = state.pelvis_rotation_in_odom[2].tolist()
+    return degrees(atan2(-forward, up)), degrees(asin(min(1.0, max(-1.0, left))))

@@ -1,0 +1,102 @@
+"""Getting up: what is refused, what gives up, and the way from the floor to Stand on the simulated robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import cos, radians, sin
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+
+from motion_manager.behaviors import Behavior
+from motion_manager.get_up import FILE, GetUp
+from tests.conftest import ROBOTS
+from tests.unit.robot_in_process import RobotInProcess
+from valor_common.errors import ConfigurationError
+from valor_common.robot import FloatVector, RobotDescription
+
+ESCHER = RobotDescription.load(ROBOTS / "escher")
+
+
+@dataclass
+class Lying:
+    """As much of a RobotState as Get Up looks at."""
+
+    pitch: float  # [deg]
+    roll: float = 0.0
+    rate: float = 0.0
+    joint_position: FloatVector = field(default_factory=ESCHER.nominal_posture.copy)
+
+    @property
+    def pelvis_rotation_in_odom(self) -> FloatVector:
+        p, r = radians(self.pitch), radians(self.roll)
+        row = (-sin(p) * cos(r), sin(r), cos(p) * cos(r))
+        return np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), row])
+
+    @property
+    def pelvis_angular_velocity_in_pelvis(self) -> FloatVector:
+        return np.array([0.0, self.rate, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        (Lying(-90.0), "face-down only: the pelvis is pitched -90°"),
+        (Lying(90.0, roll=60.0), "rolled 60°; expected 60 to 120° and at most 30°"),
+        (Lying(0.0), "pitched 0°"),
+        (Lying(90.0, rate=2.0), "does not lie still"),
+    ],
+)
+def test_from_elsewhere_than_face_down_it_is_refused(state: Lying, words: str) -> None:
+    assert words in GetUp(ESCHER).refusal(state)  # type: ignore[arg-type]
+    assert GetUp(ESCHER).refusal(Lying(90.0)) == ""  # type: ignore[arg-type]
+
+
+def test_a_robot_without_a_table_refuses() -> None:
+    thor = RobotDescription.load(ROBOTS / "thor")
+    assert "thor has no get_up.yaml" in GetUp(thor).refusal(Lying(90.0))  # type: ignore[arg-type]
+
+
+def test_a_table_with_an_unknown_joint_is_refused_by_name(tmp_path: Path) -> None:
+    folder = copytree(ROBOTS / "escher", tmp_path / "escher")
+    table = folder / FILE
+    table.write_text(table.read_text().replace("l_hip_pitch", "tail", 1))
+    with pytest.raises(ConfigurationError, match=r"get_up\.yaml: face_down: .*unknown joint 'tail'"):
+        GetUp(RobotDescription.load(folder))
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(20.0, 0.0), (90.0, 45.0)])
+def test_a_robot_that_is_not_where_a_pose_should_have_brought_it_gives_up(pitch: float, roll: float) -> None:
+    get_up, now = GetUp(ESCHER), 0.0
+    get_up.begin(Lying(90.0), now)  # type: ignore[arg-type]
+    while not get_up.failure and now < 60.0:
+        now += 0.01
+        get_up.update(Lying(pitch, roll), now)  # type: ignore[arg-type]
+        assert not get_up.done
+    assert f"{roll:.0f}°" in get_up.failure if roll else "pitched 20°" in get_up.failure
+    assert now < 10.0
+
+
+def test_from_face_down_to_stand() -> None:
+    run = RobotInProcess(ESCHER, "hardware", seed=0)
+    run.lie_face_down()
+    assert "no transition" in run.ask(Behavior.STAND_PREP)
+    assert run.get_up() == ""
+    assert (run.peak <= ESCHER.effort_limit + 1e-9).all()
+    assert run.stand() == ""
+
+
+def test_a_robot_that_is_held_down_gives_up_limp() -> None:
+    run = RobotInProcess(ESCHER, "ideal", seed=0)
+    run.lie_face_down()
+    chest = run.plant.model.body(ESCHER.tables.chest)
+    run.plant.data.xfrc_applied[chest, 2] = -1500.0  # somebody stands on its back [N]
+    reason = run.get_up()
+    assert run.behavior is Behavior.FALL
+    assert "given up" in reason
+    run.peak[:] = 0.0
+    run.step()
+    assert (run.peak < 0.2 * ESCHER.effort_limit).all()
+    assert "no transition" in run.ask(Behavior.STAND)
