@@ -26,7 +26,7 @@ ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]
 AT_REST = 0.5  # lying still: angular velocity of the pelvis below [rad/s]
 
 
-class KeyPose(Table):
+class KeyPose(Table, kw_only=True):
     """Where joints go, how long they take, and how the pelvis is to lie or stand afterwards."""
 
     name: str
