@@ -61,7 +61,8 @@ def test_samples_come_at_the_rate_of_the_table(bench: Bench) -> None:
         sound(driver)
         before, began = driver.records[0].states, time.monotonic()
         wait_until(lambda: driver.records[0].states >= before + 100, 10, "a hundred samples")
-        assert (driver.records[0].states - before) / (time.monotonic() - began) < 1.1 * 250
+        # What the line held when the count began, unread by a busy computer, comes on top: 4096 bytes.
+        assert driver.records[0].states - before < 1.1 * 250 * (time.monotonic() - began) + 4096 / 80
         assert driver.records[0].errors == 0
 
 
