@@ -55,11 +55,14 @@ class Thor:
         return received.message
 
     def go(self, behavior: str) -> None:
-        """To a behavior."""
+        """To a behavior, by way of those that lead there: a busy computer may have had the robot held meanwhile."""
+        before = {"freeze": "stand_prep", "idle": "stand_prep", "soft_stop": "stand", "stand_prep": "stand"}
 
         def there() -> bool:
-            self._behavior.call(BehaviorRequest(behavior), timeout=PATIENCE)
-            return self.state().behavior == behavior
+            now = self.state().behavior
+            if now != behavior:
+                self._behavior.call(BehaviorRequest(before.get(now, behavior)), timeout=PATIENCE)
+            return now == behavior
 
         wait_until(there, PATIENCE, behavior, period=0.1)
 
