@@ -2,6 +2,8 @@
 
 Each run starts a system of its own (``valorctl up``; lockstep, as fast as it goes unless --rtf says otherwise, so that
 the machine's load slows the clock and not the robot), does what its row says and listens. Rows are the table ``ROWS``.
+With --json every run is kept as soon as it is over, and one that is there already is not made again: a table that was
+interrupted goes on where it was.
 
     .venv/bin/python benchmarks/walking.py [--rows flat_0.5 dirt …] [--seeds 0 1 2] [--quick] [--json FILE]
 """
@@ -9,17 +11,21 @@ the machine's load slows the clock and not the robot), does what its row says an
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
+import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Protocol, Self
 
+import msgspec
+import yaml
+from flights import over_stairs
 from live_system import System, running
 from rich.console import Console
 from rich.table import Table
@@ -29,22 +35,23 @@ from valor_analysis.walk import Figures
 from valor_common import worlds
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
+from valor_common.robot import RobotDescription
 from valor_common.worlds.stairs import Stairs
 from valorctl import stepping
 from valorctl.step_plan import PlanStep
 from valorctl.walking import MODES, Order, walk
 
 STANDING = (-0.012, 0.1)  # x and |y| of the soles at the start [m]
-SOLE = (-0.10, 0.15)  # heel and toe from the sole's origin [m]
 STEP = 0.25  # length on a floor taken for flat [m]
+ROBOT = Path(__file__).parents[1] / "robots" / "escher"
 QUICK_SECONDS, QUICK_DISTANCE, QUICK_PUSHES = 5.0, 2.0, 2  # of a run with --quick
-QUICK_ROWS = ("flat_0.5", "dirt", "turn", "rubble")
+QUICK_ROWS = ("flat_0.5", "dirt", "about", "rubble")
 
 
 class Action(Protocol):
     """What a run does. It says what went wrong beside falling; nothing: it did what it was to do."""
 
-    def __call__(self, system: System) -> str: ...
+    def __call__(self, system: System, seed: int) -> str: ...
 
     @property
     def quick(self) -> Self:
@@ -57,7 +64,7 @@ class Velocity:
 
     order: Order
 
-    def __call__(self, system: System) -> str:
+    def __call__(self, system: System, seed: int) -> str:
         result = walk(system.instance, self.order, system.observer.hear)
         wanted = self.order.distance
         return result.reason or ("did not get there" if wanted and result.distance < 0.98 * wanted else "")
@@ -71,12 +78,29 @@ class Velocity:
 
 
 @dataclass(frozen=True)
+class InTurn:
+    """Several walks, one after the other."""
+
+    walks: tuple[Velocity, ...]
+
+    def __call__(self, system: System, seed: int) -> str:
+        for each in self.walks:
+            if failure := each(system, seed):
+                return f"{failure} (after {each.order})"
+        return ""
+
+    @property
+    def quick(self) -> Self:
+        return replace(self, walks=tuple(each.quick for each in self.walks[:2]))
+
+
+@dataclass(frozen=True)
 class Plan:
     """Take the steps of a plan in odom, as ``valorctl step`` does: over ROS and the Footstep Converter."""
 
     steps: Callable[[], list[PlanStep]]
 
-    def __call__(self, system: System) -> str:
+    def __call__(self, system: System, seed: int) -> str:
         outcome = stepping.step_plan(system.instance, self.steps(), stepping.ODOM, system.observer.hear)
         system.observer.wait(lambda state: state.behavior == "fall", 1.0)
         state = system.observer.state
@@ -92,45 +116,61 @@ class Plan:
 class Pushes:
     """Push the robot again and again, standing or walking by velocity, one direction after the other."""
 
-    impulse: float  # [N·s]
-    forward: float = 0.0  # walking so meanwhile [m/s]; 0: standing
-    every: float = 4.12  # [robot time, s]; no multiple of a step's, so that phases differ
+    impulses: tuple[tuple[float, float], ...]  # one after the other: how much [N·s], from x anticlockwise [rad]
     count: int = 8
-    directions: tuple[float, ...] = (0.0, math.pi, math.pi / 2, -math.pi / 2)  # from x, anticlockwise [rad]
+    forward: float = 0.0  # walking so meanwhile [m/s]; 0: standing
+    every: float = 4.0  # [robot time, s]
 
-    def __call__(self, system: System) -> str:
+    def __call__(self, system: System, seed: int) -> str:
         if self.forward:
-            return self._walking(system)
+            return self._walking(system, seed)
         for k in range(self.count):
             system.push(self._impulse(k))
             if system.observer.wait(lambda state: state.behavior == "fall", self.every):
-                return f"fall: {system.observer.state.reason} (push {k + 1})"
+                return f"fall: {system.observer.state.reason} (push {k + 1}, {self._name(k)})"
         return ""
 
-    def _walking(self, system: System) -> str:
+    def _walking(self, system: System, seed: int) -> str:
         pushed = 0
         start = system.observer.state.time
+        first = 5.0 + seed * self.every / 7.0  # at full speed; each seed has phases of its own
 
         def hear() -> None:
             nonlocal pushed
             system.observer.hear()
             state = system.observer.state
-            due = 1e-9 * (state.time - start) > 5.0 + pushed * self.every
+            due = 1e-9 * (state.time - start) > first + pushed * self.every
             if due and pushed < self.count and state.behavior in MODES:
-                system.push(self._impulse(pushed))
+                system.push(self._impulse(pushed + 3 * seed))
                 pushed += 1
 
-        seconds = 6.0 + self.count * self.every
+        seconds = first + 1.0 + self.count * self.every
         result = walk(system.instance, Order(forward=self.forward, seconds=seconds, straight=True), hear)
-        return f"{result.reason} (push {pushed})" if result.reason else ""
+        last = self._name(pushed - 1 + 3 * seed)
+        return f"{result.reason} (push {pushed}, {last})" if result.reason else ""
 
     def _impulse(self, k: int) -> tuple[float, float, float]:
-        direction = self.directions[k % len(self.directions)]
-        return self.impulse * math.cos(direction), self.impulse * math.sin(direction), 0.0
+        impulse, direction = self.impulses[k % len(self.impulses)]
+        return impulse * math.cos(direction), impulse * math.sin(direction), 0.0
+
+    def _name(self, k: int) -> str:
+        impulse, direction = self.impulses[k % len(self.impulses)]
+        return f"{impulse:g} N·s at {math.degrees(direction):.0f}°"
 
     @property
     def quick(self) -> Self:
         return replace(self, count=QUICK_PUSHES)
+
+
+def along_axes(forward: float, back: float, side: float) -> tuple[tuple[float, float], ...]:
+    """Impulses for ``Pushes``: forward, back, left, right [N·s]."""
+    return (forward, 0.0), (back, math.pi), (side, math.pi / 2), (side, -math.pi / 2)
+
+
+def all_around(impulse: float, directions: int = 8) -> tuple[tuple[float, float], ...]:
+    """Impulses for ``Pushes``: one after another, all around [N·s]."""
+    turn = 2.0 * math.pi / directions
+    return tuple((impulse, math.remainder(3 * k * turn, 2.0 * math.pi)) for k in range(directions))
 
 
 @dataclass(frozen=True)
@@ -139,7 +179,7 @@ class Stand:
 
     seconds: float  # [robot time, s]
 
-    def __call__(self, system: System) -> str:
+    def __call__(self, system: System, seed: int) -> str:
         fell = system.observer.wait(lambda state: state.behavior == "fall", self.seconds)
         return f"fall: {system.observer.state.reason}" if fell else ""
 
@@ -148,24 +188,13 @@ class Stand:
         return replace(self, seconds=QUICK_SECONDS)
 
 
-def over_stairs(name: str) -> Callable[[], list[PlanStep]]:
-    """Steps over a world of stairs, one foot a tread, and two more on the floor behind."""
+def climb(name: str) -> Callable[[], list[PlanStep]]:
+    """Steps over a world of stairs."""
 
     def steps() -> list[PlanStep]:
         stairs = worlds.WORLDS[name]
         assert isinstance(stairs, Stairs)
-        heel, toe = SOLE
-        margin = 0.5 * (stairs.tread - (toe - heel))
-        places: list[tuple[float, float]] = [(stairs.start - toe - margin, 0.0)] * 2
-        places += [(x + margin - heel, (i + 1) * stairs.rise) for i, x in enumerate(stairs.up)]
-        top, edge = places[-1], stairs.down[0] - toe - margin
-        between = max(1, math.ceil((edge - top[0]) / 0.3))
-        places += [(top[0] + (edge - top[0]) * (i + 1) / between, top[1]) for i in range(between)]
-        places.append(places[-1])
-        heights = [(stairs.steps - 1 - i) * stairs.rise for i in range(stairs.steps)]
-        places += [(x + margin - heel, height) for x, height in zip(stairs.down, heights, strict=True)]
-        places += [(places[-1][0] + 0.2, 0.0)] * 2
-        return _alternating(places)
+        return over_stairs(RobotDescription.load(ROBOT).tables, stairs)
 
     return steps
 
@@ -195,6 +224,7 @@ class Row:
     seeds: int
     action: Action
     note: str
+    tables: dict[str, dict[str, object]] | None = None  # of robot.yaml, that are other than the robot's
 
 
 def _by(forward: float = 0.0, left: float = 0.0, turn: float = 0.0, seconds: float = 30.0) -> Velocity:
@@ -205,24 +235,28 @@ def _course(speed: float, distance: float = 61.0) -> Velocity:
     return Velocity(Order(speed, distance=distance, straight=True))
 
 
+# A step every 0.66 s at 0.3 m/s: pushes 2.618 times two of them apart come at phases that spread by themselves.
+SPREAD = 2.618 * 1.326  # [robot time, s]
+FEET_FIXED: dict[str, dict[str, object]] = {"disturbance": {"step_when_standing": False}}
+AT_BOUND = along_axes(25.6, 25.6, 35.7)  # 80 % of m·ω·Δξ, as `control.py fixed` prints it [N·s]
+
+ABOUT = (
+    _by(turn=0.4, seconds=8.0), _by(left=0.125, seconds=8.0), _by(-0.25, seconds=8.0), _by(0.3, 0.08, 0.2, seconds=8.0),
+)  # fmt: skip
+
 # fmt: off
 ROWS: dict[str, Row] = {
     "flat_0.5":        Row("flat",        5, _by(0.5),                              "0.5 m/s for 30 s"),
     "flat_0.8":        Row("flat",        5, _by(0.8),                              "0.8 m/s for 30 s"),
-    "flat_1.2":        Row("flat",        5, _by(1.2),                              "1.2 m/s for 30 s"),
-    "dirt":            Row("dirt",        3, _course(0.4),                          "61 m at 0.4 m/s"),
-    "dirt_0.5":        Row("dirt",        3, _course(0.5),                          "61 m at 0.5 m/s"),
-    "turn":            Row("flat",        3, _by(turn=0.4, seconds=15.0),           "in place, 0.4 rad/s"),
-    "sideways":        Row("flat",        3, _by(left=0.12, seconds=15.0),          "0.12 m/s to the left"),
-    "backwards":       Row("flat",        3, _by(-0.25, seconds=15.0),              "0.25 m/s"),
-    "blended":         Row("flat",        3, _by(0.3, 0.08, 0.2, seconds=15.0),     "0.3, 0.08 m/s, 0.2 rad/s"),
-    "stairs":          Row("stairs",      3, Plan(over_stairs("stairs")),           "3 × 10 cm up and down"),
-    "stairs_15cm":     Row("stairs_15cm", 5, Plan(over_stairs("stairs_15cm")),      "3 × 15 cm up and down"),
+    "dirt":            Row("dirt",        3, _course(0.45),                         "61 m at 0.45 m/s"),
+    "about":           Row("flat",        3, InTurn(ABOUT),                         "turn, aside, back, blended"),
+    "stairs":          Row("stairs",      3, Plan(climb("stairs")),                 "3 × 10 cm up and down"),
+    "stairs_15cm":     Row("stairs_15cm", 5, Plan(climb("stairs_15cm")),            "3 × 15 cm up and down"),
     "rubble":          Row("rubble",      5, Plan(straight_on(3.5)),                "3.5 m, planned flat"),
-    "push_standing":   Row("flat",        3, Pushes(22.0),                          "22 N·s, four directions twice"),
-    "push_stepping":   Row("flat",        3, Pushes(35.0),                          "35 N·s, four directions twice"),
-    "push_walking":    Row("flat",        3, Pushes(15.0, forward=0.3),             "15 N·s at 0.3 m/s"),
-    "push_walking_25": Row("flat",        3, Pushes(25.0, forward=0.3),             "25 N·s at 0.3 m/s"),
+    "push_fixed":      Row("flat",        3, Pushes(AT_BOUND),                      "80 % of m·ω·Δξ", FEET_FIXED),
+    "push_stepping":   Row("flat",        3, Pushes(along_axes(40.0, 40.0, 35.0)),  "40, 40, 35 N·s, twice"),
+    "push_walking":    Row("flat",        3, Pushes(all_around(15.0), 16, 0.3, SPREAD), "16 of 15 N·s at 0.3 m/s"),
+    "push_walking_25": Row("flat",        3, Pushes(all_around(25.0), 16, 0.3, SPREAD), "16 of 25 N·s at 0.3 m/s"),
     "stand":           Row("flat",        3, Stand(60.0),                           "60 s"),
 }
 # fmt: on
@@ -235,6 +269,8 @@ class Run:
     row: str
     seed: int
     actuators: str
+    clock: str
+    quick: bool
     failure: str  # empty: it did what it was to do
     way: tuple[float, float, float]  # true: forward, left [m], turned [rad]
     figures: Figures
@@ -252,14 +288,16 @@ def measure(home: Path, name: str, seed: int, arguments: argparse.Namespace, tel
     row = ROWS[name]
     bags = home / "bags"
     bags.mkdir(exist_ok=True)
-    options = {
+    options: dict[str, object] = {
         "world": row.world, "seed": seed, "actuators": arguments.actuators, "clock": arguments.clock,
         "rtf": arguments.rtf, "bag": bags / "run.mcap",
     }  # fmt: skip
+    if row.tables:
+        options["robot"] = robot_with(row.tables, home)
     try:
         with running(Instance(f"walking-{seed}", home), options, tell) as system:
             try:
-                failure = (row.action.quick if arguments.quick else row.action)(system)
+                failure = (row.action.quick if arguments.quick else row.action)(system, seed)
             except ValorError as error:
                 failure = str(error)
             observer = system.observer
@@ -273,9 +311,22 @@ def measure(home: Path, name: str, seed: int, arguments: argparse.Namespace, tel
     except BagError:  # a row that stands
         first, last = float(track.time[0]), float(track.time[-1])
     return Run(
-        name, seed, arguments.actuators, failure, observer.way(), Figures.of(track.between(first, last)),
-        observer.timeliness(), observer.lost, os.getloadavg()[0],
+        name, seed, arguments.actuators, arguments.clock, arguments.quick, failure, observer.way(),
+        Figures.of(track.between(first, last)), observer.timeliness(), observer.lost, os.getloadavg()[0],
     )  # fmt: skip
+
+
+def robot_with(tables: dict[str, dict[str, object]], folder: Path) -> Path:
+    """A copy of the robot with values of some tables replaced."""
+    robot = folder / "robot"
+    if not robot.exists():
+        shutil.copytree(ROBOT, robot)
+    path = robot / "robot.yaml"
+    content = yaml.safe_load((ROBOT / "robot.yaml").read_text())
+    for table, values in tables.items():
+        content[table] = {**content.get(table, {}), **values}
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    return robot
 
 
 def show(runs: list[Run], console: Console) -> None:
@@ -309,6 +360,33 @@ def show(runs: list[Run], console: Console) -> None:
             f"{run.load:.1f}",
         )
     console.print(table)
+
+
+def summary(runs: list[Run]) -> Iterator[str]:
+    """Markdown, a line a row: the worst run of each."""
+    yield (
+        "| run | as ordered | robot time [s] | DCM error, RMS in x, y, z [mm] | smallest knee angle [rad] "
+        "| torques at their limit | planned vs felt foot force, RMS [N] | QP failures | ticks beyond 2 ms | slip [s] |"
+    )
+    yield "|---|---|---|---|---|---|---|---|---|---|"
+    for name, group in groupby(runs, lambda run: run.row):
+        each = list(group)
+        figures = [run.figures for run in each]
+        errors = [_span([1e3 * f.dcm_error[i] for f in figures], 0) for i in range(3)]
+        late = sum(run.timeliness["overruns"] for run in each) / sum(f.ticks for f in figures)
+        yield (
+            f"| {name}: {ROWS[name].note} | {sum(not run.failure for run in each)} of {len(each)} "
+            f"| {_span([f.duration for f in figures], 1)} | {', '.join(errors)} | {min(f.knee for f in figures):.2f} "
+            f"| {_span([f.saturations for f in figures], 0)} | {_span([f.force_error for f in figures], 0)} "
+            f"| {sum(f.qp_failures for f in figures)} | {100.0 * late:.1f} % "
+            f"| {_span([run.timeliness['slip'] for run in each], 2)} |"
+        )
+
+
+def _span(values: list[float], digits: int) -> str:
+    """Smallest and largest, or the one that both are."""
+    low, high = (f"{end:.{digits}f}" for end in (min(values), max(values)))
+    return low if low == high else f"{low}–{high}"
 
 
 def cases(arguments: argparse.Namespace) -> Iterator[tuple[str, int]]:
@@ -353,24 +431,39 @@ def main() -> None:
     parser.add_argument("--actuators", default="hardware", choices=("ideal", "hardware"))
     parser.add_argument("--clock", default="lockstep", choices=("lockstep", "realtime"))
     parser.add_argument("--rtf", type=float, default=0.0, help="real-time factor of lockstep; 0: as fast as it goes")
-    parser.add_argument("--json", type=Path, help="where to keep every run")
+    parser.add_argument("--json", type=Path, help="where every run is kept, and looked up")
     arguments = parser.parse_args()
     console = Console(width=None if sys.stdout.isatty() else 220)
     runs: list[Run] = []
+    if arguments.json and arguments.json.exists():
+        runs = msgspec.json.decode(arguments.json.read_bytes(), type=list[Run])
+    like = (arguments.actuators, arguments.clock, arguments.quick)
+    made = {(run.row, run.seed) for run in runs if (run.actuators, run.clock, run.quick) == like}
+    left = [case for case in cases(arguments) if case not in made]
     with tempfile.TemporaryDirectory(prefix="valor-") as home:
-        for name, seed in cases(arguments):
+        for number, (name, seed) in enumerate(left, start=1):
             began = time.monotonic()
+            what = f"{name} ({ROWS[name].note}), seed {seed}, run {number} of {len(left)}"
             try:
-                with Teller(console, f"{name}, seed {seed}") as tell:
+                with Teller(console, what) as tell:
                     run = measure(Path(home), name, seed, arguments, tell)
             except ValorError as error:
                 sys.exit(f"{name}, seed {seed}: {error}")
             runs.append(run)
-            note = f"{name} ({ROWS[name].note}), seed {seed}"
-            print(f"{note}: {run.failure or 'ok'}; {time.monotonic() - began:.0f} s", flush=True)
+            print(f"{what}: {run.failure or 'ok'}; {time.monotonic() - began:.0f} s", flush=True)
             if arguments.json:
-                arguments.json.write_text(json.dumps([asdict(each) for each in runs], indent=1) + "\n")
+                keep(runs, arguments.json)
+    order = list(ROWS)
+    runs.sort(key=lambda run: (order.index(run.row), run.seed))
     show(runs, console)
+    print(*summary(runs), sep="\n")
+
+
+def keep(runs: list[Run], path: Path) -> None:
+    """Write all runs; whoever is interrupted meanwhile has the file as it was."""
+    new = path.with_suffix(".new")
+    new.write_bytes(msgspec.json.format(msgspec.json.encode(runs), indent=1) + b"\n")
+    new.replace(path)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from flights import over_stairs
 
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.walking.footsteps import Step, level_pose
@@ -14,11 +15,11 @@ from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor_common import worlds
 from valor_common.robot import RobotDescription
 from valor_common.worlds.stairs import Stairs
+from valorctl.step_plan import FEET, PlanStep
 
 WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.5, 0, 0), (0.8, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
 WALK_DURATION = 20.0  # [s]
 COURSES = {"dirt": (0.45, 61.0), "rubble": (0.4, 4.0)}  # speed [m/s], way [m]
-STAIRS_SWING_HEIGHT = 0.08  # [m]
 
 
 HEADINGS = (
@@ -101,32 +102,24 @@ def follow(loop: ClosedLoop, speed: float, way: float) -> str:
 def climb(loop: ClosedLoop, stairs: Stairs) -> str:
     """A flight of stairs up and down by plan, as the cells of its row."""
     queue = loop.controller.step_source = StepQueue()
-    queue.begin(over_stairs(loop.robot, stairs))
+    queue.begin(as_steps(loop.robot, over_stairs(loop.robot.tables, stairs)))
     return measure(loop, lambda: queue.running)
 
 
-def over_stairs(robot: RobotDescription, stairs: Stairs) -> list[Step]:
-    """One foot on each step, in its middle, going down a little further; feet together at the end."""
-    table, foot = robot.tables.walking, robot.tables.feet.left
-    middle = 0.5 * stairs.tread - 0.5 * (foot.heel + foot.toe)
-    top = stairs.rise * stairs.steps
-    first, last = stairs.up[-1] + middle, stairs.down[0] - foot.toe - 0.025  # on the landing
-    level = max(2, round((last - first) / 0.3))
-    places = [(stairs.up[0] - foot.toe - 0.03 - x, 0.0) for x in (0.16, 0.0)]
-    places += [(x + middle, stairs.rise * (i + 1)) for i, x in enumerate(stairs.up)]
-    places += [(first + (last - first) * (i + 1) / level, top) for i in range(level)]
-    places += [(x + middle + 0.03, top - stairs.rise * (i + 1)) for i, x in enumerate(stairs.down)]
-    places.append(places[-1])
-    steps, height = [], 0.0
-    for i, (x, z) in enumerate(places):
-        side = i % 2
-        y = table.step_width * (0.5 - side)
-        slow = abs(z - height) > 0.0 or i == len(places) - 1
-        swing, transfer = (1.0, 0.4) if slow else (table.swing_duration, table.transfer_duration)
-        lift = STAIRS_SWING_HEIGHT if slow else table.swing_height
-        steps.append(Step(i, side, level_pose(x, y, z, 0.0), lift, swing, transfer))
-        height = z
-    return steps
+def as_steps(robot: RobotDescription, plan: Sequence[PlanStep]) -> list[Step]:
+    """A plan as the gait takes it, with the robot's own figures where the plan has none."""
+    table = robot.tables.walking
+    return [
+        Step(
+            index=i,
+            foot=FEET.index(step.foot),
+            sole=level_pose(step.x, step.y, step.z, step.yaw),
+            swing_height=step.swing_height or table.swing_height,
+            swing_duration=step.step_duration or table.swing_duration,
+            transfer_duration=step.sway_duration or table.transfer_duration,
+        )
+        for i, step in enumerate(plan)
+    ]
 
 
 def standing_in(robot: RobotDescription, profile: str, seed: int, world: str) -> ClosedLoop:
