@@ -12,6 +12,8 @@ from device_emulators.kinds import make
 from device_emulators.robot import SimulatedRobot
 from valor_common.messages import GroundTruth
 from valor_common.pacing import Wall
+from valor_common.priority import take_real_time
+from valor_common.processes import BY_NAME
 from valor_common.service import Context, quiet_collector
 from valor_common.topics import GROUND_TRUTH
 from valor_simulation.push import PushServer
@@ -43,6 +45,7 @@ class DeviceEmulators:
         """Serve the ports and let the plant pass, until told to stop."""
         quiet_collector()
         Wall()  # this thread wakes on time
+        take_real_time(BY_NAME[self._context.name].real_time)  # hardware waits for nobody
         robot, statistics, stopping = self._robot, self._statistics, self._context.stopping
         attend_every = max(1, round(1.0 / (Truth.RATE * TURN)))
         with selectors.DefaultSelector() as ports:

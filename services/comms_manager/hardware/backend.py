@@ -40,6 +40,8 @@ from comms_manager.hardware.series_elastic import SeriesElastic
 from valor_common.errors import ConfigurationError
 from valor_common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
 from valor_common.pacing import Pacer, Wall
+from valor_common.priority import take_real_time
+from valor_common.processes import BY_NAME
 from valor_common.robot import FloatVector
 from valor_common.service import Context
 from valor_common.topics import DEVICES
@@ -126,6 +128,8 @@ class Hardware(Backend):
             thread = threading.Thread(target=self._run, args=(device,), name=device.name, daemon=True)
             thread.start()
             self._threads.append(thread)
+        if take_real_time(BY_NAME[self._context.name].real_time):
+            _log.info("the loop and its devices run in real time")
 
     def _begin(self) -> None:
         """Have the devices sample twice: the time by the leg controllers' clock begins with that."""
