@@ -230,10 +230,18 @@ def test_a_joint_that_is_knocked_is_believed(bench: Bench) -> None:
     with bench.running() as driver:
         send(driver, 0.0, 0.0)
         comes_to(driver, YAW, 0.0)
-        with bench.lock:
-            plant = bench.robot.plant
-            plant.data.qvel[int(plant.model.mj.joint("neck_yaw").dofadr[0])] = 25.0  # four times what its motor can
-        wait_until(lambda: abs(position(driver, YAW)) > 0.15, 10, "the head turns")
+        plant = bench.robot.plant
+
+        def turns() -> bool:
+            """Knocked, and seen to turn: it is back so soon that a busy computer may miss it."""
+            with bench.lock:
+                plant.data.qvel[int(plant.model.mj.joint("neck_yaw").dofadr[0])] = 25.0  # four times what its motor can
+            until = time.monotonic() + 0.5
+            while (still := abs(position(driver, YAW)) <= 0.15) and time.monotonic() < until:
+                time.sleep(0.002)
+            return not still
+
+        wait_until(turns, 10, "the head turns")
         comes_to(driver, YAW, 0.0)
         assert driver.ailments == ()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.unit import motion_states
 from valor_common.messages import MotionState
 from valor_common.robot import RobotDescription
 from valor_ros_controller.controllers.configuration import ControllersTable
@@ -27,15 +28,12 @@ HOME = ROBOT.nominal_posture
 PERIOD = 4_000_000
 
 
-def motion_state(behavior: str, setpoint) -> MotionState:
-    teleop = behavior.endswith("_manipulate")
-    nothing, leader = np.zeros(3), "setpoints" if teleop else "nobody"
-    return MotionState(
-        0, 0, behavior, behavior, "teleop" if teleop else "slave", "look", "", nothing, np.array([1.0, 0, 0, 0]),
-        nothing, nothing, nothing, nothing, nothing, nothing[:2], np.ones(2, np.uint8), np.ones(2), nothing,
-        nothing, nothing, np.zeros(2, np.uint8), leader, leader, setpoint, np.zeros(6), np.zeros(6), nothing[:2],
-        1, 0, 0, 0.0,
-    )  # fmt: skip
+def motion_state(behavior: str, setpoint: np.ndarray) -> MotionState:
+    manipulation, leader = ("teleop", "setpoints") if behavior.endswith("_manipulate") else ("slave", "nobody")
+    arms = {"left_arm": leader, "right_arm": leader}
+    return motion_states.motion_state(
+        behavior=behavior, manipulation=manipulation, **arms, joint_setpoint=setpoint, pelvis_in_support=np.zeros(6)
+    )
 
 
 @dataclass
