@@ -164,9 +164,11 @@ class WholeBody(Table):
     """Weights and gains of the Whole-Body Controller: data, so that another robot can have its own."""
 
     friction: Positive = 0.6  # coefficient assumed
-    contact_inset: NonNegative = 0.01  # contact points pulled in from the sole's edges [m]
+    contact_inset: NonNegative = 0.005  # contact points pulled in from the sole's edges [m]
     dcm_gain: Positive = 5.0  # k_ξ
-    com_weight: Positive = 60.0
+    dcm_push_gain: NonNegative = 15.0  # more, of what is beyond …
+    dcm_push_error: NonNegative = 0.02  # … this error in the plane: then the CoP is at the sole's edge at once [m]
+    com_weight: Positive = 300.0
     angular_momentum_weight: NonNegative = 0.003
     angular_momentum_gain: NonNegative = 1.0
     orientation_weight: Positive = 3.0

@@ -8,6 +8,7 @@ inverse dynamics gives torques; joints that are not driven by force get set-poin
 from __future__ import annotations
 
 import logging
+from math import sqrt
 
 import numpy as np
 
@@ -62,13 +63,17 @@ class WholeBodyController:
         self._servo_damping = robot.servo_damping
         self._lower, self._upper = robot.lower[joints.places], robot.upper[joints.places]
         self._upper_body = UpperBodyKinematics(model)
-        omega = DcmLaw.natural_frequency(self._upper_body.nominal_com_height, -float(model.mj.opt.gravity[2]))
+        gravity = -float(model.mj.opt.gravity[2])
+        omega = DcmLaw.natural_frequency(self._upper_body.nominal_com_height, gravity)
         law = DcmLaw(
             omega,
             table.dcm_gain,
             table.dcm_integral_gain,
             table.dcm_integral_limit,
             table.dcm_integral_error,
+            push_gain=table.dcm_push_gain,
+            push_error=table.dcm_push_error,
+            grip=table.friction / sqrt(2.0) * gravity,
         )
         legs = joints.group("left_leg", "right_leg")
         self.pelvis = PelvisReference(model, legs)

@@ -45,6 +45,9 @@ class Law:
         return self._acceleration.copy()
 
 
+GRIPS = tuple(Law(DcmLaw(OMEGA, 5.0, 0.0, 0.0, 1.0, 15.0, 0.02, *grip)) for grip in ((), (4.0,)))
+
+
 def simulate(law: Law, com: np.ndarray, velocity: np.ndarray, duration: float, disturbance: np.ndarray) -> list[float]:
     """Errors of the DCM over time, the CoM driven by the law towards the origin and by a constant acceleration."""
     errors = []
@@ -63,6 +66,36 @@ def test_the_error_decays_with_the_gain(gain: float) -> None:
     errors = simulate(law, np.array((0.02, 0.0, 0.0)), np.zeros(3), 0.5, np.zeros(3))
     times = np.arange(len(errors)) * STEP
     np.testing.assert_allclose(errors, 0.02 * np.exp(-gain * times), atol=0.02 * 0.01)
+
+
+def test_a_push_has_a_higher_gain_in_the_plane_for_what_is_beyond_its_threshold() -> None:
+    law = Law(DcmLaw(OMEGA, 5.0, 0.0, 0.0, 1.0, push_gain=15.0, push_error=0.02))
+
+    def answer(*error: float) -> np.ndarray:
+        """Of the law to an error: where its VRP lies before the DCM, as a gain times a length [m/s]."""
+        acceleration = law.acceleration(np.array(error), np.array(error), np.zeros(3), STEP)
+        return -acceleration / OMEGA
+
+    np.testing.assert_allclose(answer(0.02, 0.0, 0.0), (0.1, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(answer(0.0, -0.06, 0.0), (0.0, -5.0 * 0.06 - 15.0 * 0.04, 0.0), atol=1e-12)
+    np.testing.assert_allclose(answer(0.03, 0.04, 0.1), (0.15 + 0.27, 0.2 + 0.36, 0.5), atol=1e-12)
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3))
+def test_no_more_is_asked_for_in_the_plane_than_the_grip_and_heights_are_left_alone(error: tuple[float, ...]) -> None:
+    free, held = GRIPS
+    wanted, given_way = (law.acceleration(np.zeros(3), np.array(error), np.zeros(3), STEP) for law in (free, held))
+    size = float(np.hypot(*wanted[:2]))
+    np.testing.assert_allclose(given_way[:2], wanted[:2] * min(1.0, 4.0 / size) if size else 0.0, atol=1e-9)
+    assert given_way[2] == pytest.approx(wanted[2])
+
+
+def test_numbers_that_are_none_stay_none() -> None:
+    """So that the QP refuses them, where a limit would make a command of them."""
+    error = np.array((np.nan, 0.0, 0.0))
+    for law in GRIPS:
+        assert np.isnan(law.acceleration(np.zeros(3), error, np.zeros(3), STEP)[0])
+        law.integral[:] = 0.0
 
 
 def test_a_wrong_model_ends_in_the_integral_and_not_in_the_error() -> None:

@@ -57,6 +57,32 @@ def test_a_push_is_answered_by_steps_and_the_robot_stands_again(direction: str, 
     np.testing.assert_allclose(apart, (0.0, robot.tables.walking.step_width, 0.0), atol=0.03)
 
 
+def test_pushes_one_after_another_are_survived_with_feet_fixed() -> None:
+    """Each of 80 % of what a point mass could stand: the robot must be wholly at rest again before the next."""
+    loop = standing(load_robot(disturbance={"step_when_standing": False}), 0)
+    for direction, impulse in (("forward", 25.6), ("back", 25.6), ("right", 35.7)):
+        loop.plant.push(impulse * np.array(DIRECTIONS[direction]), 0.1)
+        until = loop.time + 4.0
+        while loop.fall is None and loop.time < until:
+            loop.step()
+        assert loop.fall is None, direction
+        error = loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom
+        assert np.hypot(error[0], error[1]) < 0.01
+    assert loop.command.qp_failures == 0
+
+
+def test_a_hard_push_is_stepped_out_of_with_bent_knees() -> None:
+    loop = standing(load_robot(), 1)
+    knees = [loop.robot.index["l_knee_pitch"], loop.robot.index["r_knee_pitch"]]
+    loop.plant.push(50.0 * np.array(DIRECTIONS["forward"]), 0.1)
+    smallest, until = np.inf, loop.time + 3.0
+    while loop.fall is None and loop.time < until:
+        loop.step()
+        smallest = min(smallest, float(loop.plant.joint_position[knees].min()))
+    assert loop.fall is None
+    assert smallest > 0.25  # [rad]
+
+
 def test_a_push_while_walking_is_survived() -> None:
     robot = load_robot()
     loop = standing(robot, 6)

@@ -93,7 +93,7 @@ class DcmPlan:
         duration = self._durations[i]
         t = min(max(time - self._began, 0.0), duration)
         if i == self._last and i < len(self._durations) - 1 and time - self._began > duration:
-            vrp = self.knots[i + 1]
+            vrp = self.knots[i + 1].copy()
             return vrp + exp(self._omega * (time - self._began - duration)) * (self._dcm[i + 1] - vrp), vrp
         rate = (self.knots[i + 1] - self.knots[i]) / duration
         vrp = self.knots[i] + rate * t

@@ -32,6 +32,7 @@ QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon
 SHORTEST_PIECE = 0.01  # of a plan [s]
 FOLLOWED = 1e-3  # moves of a late foot's foothold below it are none [m]
 MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
+LOWERING = 8.0  # with which it is lowered for a step that goes further than planned [1/s]
 
 
 class Gait:
@@ -66,6 +67,8 @@ class Gait:
         self._landed: int | None = None
         self._sways = True  # before the first step
         self._giving = robot.tables.disturbance.giving
+        self._planned_lowering = 0.0  # of the CoM over the stance foot [m]
+        self._lower = self._lowered = 0.0  # by how much more it shall be, and is, for a step that was adjusted [m]
         self.active = False
         self.dcm, self.vrp = np.zeros(3), np.zeros(3)
         self.load = np.ones(2)
@@ -151,6 +154,7 @@ class Gait:
             self._end_swing(state)
         before = self.dcm
         self.dcm, self.vrp = self._plan.at(self._time)
+        self._sink(dt)
         if self._step is not None:
             if self.swinging is not None and self._time > self._transfer + self._step.swing_duration:
                 self._wait(before, dcm, dt)
@@ -162,7 +166,7 @@ class Gait:
 
     def _begin_transfer(self, state: RobotState, steps: Sequence[Step], shortest: float = 0.0) -> None:
         """Towards the next step, or to rest."""
-        self._time = 0.0
+        self._time = self._lower = self._lowered = 0.0
         if steps:
             self._step, self.foothold = steps[0], steps[0].sole
             self._transfer = max(shortest, steps[0].transfer_duration) + self._early
@@ -197,7 +201,10 @@ class Gait:
         for i, step in enumerate(steps[:AHEAD]):
             stance = self._over(poses[1 - step.foot], 1 - step.foot)
             before, lowered = lowered, self._lowering(poses[1 - step.foot], step.sole)
-            stance[2] -= max(before, lowered, self._lowering(poses[0], poses[1]) if i == 0 else 0.0)
+            lower = max(before, lowered, self._lowering(poses[0], poses[1]) if i == 0 else 0.0)
+            stance[2] -= lower
+            if i == 0:
+                self._planned_lowering = lower
             transfer = self._transfer - early if i == 0 else step.transfer_duration
             if i == 0 and self._sways:  # from rest: sway aside first
                 durations += [0.5 * transfer, 0.5 * transfer]
@@ -276,10 +283,19 @@ class Gait:
                 duration = time - self._transfer + found.left
                 self._trajectory.retarget(time - self._transfer, sole, duration)
             self._step, self.foothold = replace(step, sole=sole, swing_duration=duration), sole
+            stance = sole_poses(state)[1 - step.foot]
+            self._lower = max(0.0, self._lowering(stance, sole) - self._planned_lowering)
         if guard.adjusted is not None and swinging:
             assert self._step is not None
             left = self._transfer + self._step.swing_duration - time
             self.dcm[:2], self.vrp[:2] = guard.reference(left)[:2], guard.centre[:2]  # heights are the plan's
+
+    def _sink(self, dt: float) -> None:
+        """Lead the CoM lower than planned, as far as the step asks for: ξ_z and its VRP go on to belong together."""
+        rate = LOWERING * (self._lower - self._lowered)
+        self._lowered += rate * dt
+        self.dcm[2] -= self._lowered
+        self.vrp[2] -= self._lowered - rate / self._omega
 
     def _wait(self, before: FloatArray, dcm: FloatArray, dt: float) -> None:
         """The foot is late: slow the DCM's reference down, and lead the foot along with the DCM.
