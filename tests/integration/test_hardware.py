@@ -216,6 +216,18 @@ def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:
     assert standing.unit("legs/7")[0] == "faulty"
 
 
+def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing: Bench) -> None:
+    """Motor controllers hold their joints by themselves; whoever comes back finds a robot that stands, and lets it."""
+    standing.running.kill("comms_manager")
+    standing.running.start("comms_manager")
+    standing.running.wait_ready("comms_manager", PATIENCE)
+    wait_until(lambda: standing.behavior != "stand", PATIENCE, "the Motion Manager knows")
+    assert standing.behavior == "freeze", standing.state.reason
+    assert standing.state.reason.startswith("no Proprioceptor for") and "it stands" in standing.state.reason
+    assert standing.height() > UPRIGHT
+    standing.stand()
+
+
 def test_a_start_without_what_balance_needs_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
     other = tmp_path / "escher"
     shutil.copytree(ROBOTS / "escher", other)
