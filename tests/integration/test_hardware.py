@@ -205,17 +205,6 @@ def test_the_imu_is_unplugged_and_plugged_in_again(standing: Bench) -> None:
     wait_until(lambda: standing.unit("imu")[0] == "ok", PATIENCE, "it is found again")
 
 
-def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:
-    """The last one: only a restart takes it back."""
-    standing.fail("legs/7", "encoder_jump")
-    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
-    assert "the encoder of waist_yaw jumped" in standing.state.reason
-    standing.fail("legs", "")
-    status = standing.status
-    wait_until(lambda: standing.status is not status, PATIENCE, "another word")
-    assert standing.unit("legs/7")[0] == "faulty"
-
-
 def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing: Bench) -> None:
     """Motor controllers hold their joints by themselves; whoever comes back finds a robot that stands, and lets it."""
     standing.running.kill("comms_manager")
@@ -226,6 +215,17 @@ def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing
     assert standing.state.reason.startswith("no Proprioceptor for") and "it stands" in standing.state.reason
     assert standing.height() > UPRIGHT
     standing.stand()
+
+
+def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:
+    """The last one: only a restart takes it back."""
+    standing.fail("legs/7", "encoder_jump")
+    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
+    assert "the encoder of waist_yaw jumped" in standing.state.reason
+    standing.fail("legs", "")
+    status = standing.status
+    wait_until(lambda: standing.status is not status, PATIENCE, "another word")
+    assert standing.unit("legs/7")[0] == "faulty"
 
 
 def test_a_start_without_what_balance_needs_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
