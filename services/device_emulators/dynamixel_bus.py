@@ -197,12 +197,10 @@ class DynamixelBus:
 
     Attributes:
         servos: by id.
-        wrong_crcs: of frames that nobody obeyed.
     """
 
     def __init__(self, servos: Sequence[Servo]) -> None:
         self.servos = {servo.id: servo for servo in servos}
-        self.wrong_crcs = 0
         self._received = bytearray()
 
     def receive(self, data: bytes) -> list[Status]:
@@ -230,7 +228,6 @@ class DynamixelBus:
                 return
             frame = bytes(received[:end])
             if crc16(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
-                self.wrong_crcs += 1
                 del received[0]
                 continue
             del received[:end]

@@ -103,7 +103,6 @@ class DynamixelServos(Device):
         self._period = 1.0 / table.rate
         self._port: DynamixelPort | None = None
         self._readers: dict[ControlTable, StatusReader] = {}
-        self._corrupt = 0
         self._enabled = False
         self._gone: tuple[Ailment, ...] = ()
         m = len(self._servos)
@@ -166,7 +165,6 @@ class DynamixelServos(Device):
         for servo in self._servos:
             if servo.present:
                 by_table.setdefault(servo.registers, []).append(servo.table.id)
-        self._corrupt = 0
         self._readers = {
             registers: self._port.reader(registers.feedback, servos) for registers, servos in by_table.items()
         }
