@@ -20,18 +20,13 @@ from typing import BinaryIO
 from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
-from valor_common.errors import ValorError
+from valor_common.bag_index import BagError, read_index
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
-
-
-class BagError(ValorError):
-    """A file is no bag, or cannot be recovered: names the file and why."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,8 @@ def recover(path: Path) -> RecoveredBag:
     """Make a bag readable that was not finished; one that was is left alone.
 
     Raises:
-        BagError: the file is missing, is no MCAP file, is being written, or cannot be written.
+        BagError: the file is missing, is no MCAP file, is being written, or cannot be written; or it was finished, but
+            its index is damaged.
     """
     try:
         with open(path, "r+b") as file:
@@ -87,10 +83,8 @@ def recover(path: Path) -> RecoveredBag:
 def _recover(file: BinaryIO, path: Path) -> RecoveredBag:
     size = file.seek(0, 2)
     if _is_finished(file, size):
-        file.seek(0)
-        summary = make_reader(file).get_summary()
-        statistics = summary.statistics if summary else None
-        return RecoveredBag(path, True, statistics.message_count if statistics else 0, 0)
+        index = read_index(path)
+        return RecoveredBag(path, True, index.statistics.message_count if index else 0, 0)
     file.seek(0)
     magic = file.read(len(MCAP0_MAGIC))
     if magic != MCAP0_MAGIC[: len(magic)]:

@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from struct import error as StructError  # noqa: N812
 from typing import Any
 
 import yaml
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import Statistics
-from mcap.summary import Summary
+
+from valor_common.bag_index import BagError, BagIndex, read_index
 
 FILE = "metadata.yaml"
 SUFFIX = ".mcap"
@@ -35,10 +32,10 @@ def write(folder: Path) -> Path | None:
         OSError: it cannot be written.
     """
     own = (file for file in folder.glob(f"*{SUFFIX}") if is_own_folder(file))
-    found = [(file, summary) for file in own if (summary := _summary(file)) is not None]
+    found = [(file, index) for file in own if (index := _index(file)) is not None]
     if not found:
         return None
-    found.sort(key=lambda each: (_statistics(each[1]).message_start_time, each[0].name))
+    found.sort(key=lambda each: (each[1].statistics.message_start_time, each[0].name))
     beside = folder / f"{FILE}.new"
     with open(beside, "w") as out:
         yaml.dump({"rosbag2_bagfile_information": _information(found)}, out, _Plain, sort_keys=False)
@@ -54,27 +51,20 @@ class _Plain(yaml.SafeDumper):
         return True
 
 
-def _summary(file: Path) -> Summary | None:
+def _index(file: Path) -> BagIndex | None:
     """A bag's index; None: it has none, because it is not finished."""
     try:
-        with open(file, "rb") as opened:
-            summary = make_reader(opened).get_summary()
-    except (McapError, ValueError, OSError, StructError):
+        return read_index(file)
+    except (BagError, OSError):
         return None
-    return summary if summary is not None and summary.statistics is not None else None
 
 
-def _statistics(summary: Summary) -> Statistics:
-    assert summary.statistics is not None
-    return summary.statistics
-
-
-def _information(found: list[tuple[Path, Summary]]) -> dict[str, Any]:
+def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
     topics: dict[tuple[str, str], dict[str, Any]] = {}
-    for _, summary in found:
-        counts = _statistics(summary).channel_message_counts
-        for channel in summary.channels.values():
-            schema = summary.schemas.get(channel.schema_id)
+    for _, index in found:
+        counts = index.statistics.channel_message_counts
+        for channel in index.summary.channels.values():
+            schema = index.summary.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
             topic = topics.setdefault(
                 (channel.topic, type_name),
@@ -93,13 +83,13 @@ def _information(found: list[tuple[Path, Summary]]) -> dict[str, Any]:
     files = [
         {
             "path": file.name,
-            "starting_time": {"nanoseconds_since_epoch": (statistics := _statistics(summary)).message_start_time},
-            "duration": {"nanoseconds": statistics.message_end_time - statistics.message_start_time},
-            "message_count": statistics.message_count,
+            "starting_time": {"nanoseconds_since_epoch": index.statistics.message_start_time},
+            "duration": {"nanoseconds": index.statistics.message_end_time - index.statistics.message_start_time},
+            "message_count": index.statistics.message_count,
         }
-        for file, summary in found
+        for file, index in found
     ]
-    held = [_statistics(summary) for _, summary in found if _statistics(summary).message_count]
+    held = [index.statistics for _, index in found if index.statistics.message_count]
     start = min((each.message_start_time for each in held), default=0)
     end = max((each.message_end_time for each in held), default=0)
     return {

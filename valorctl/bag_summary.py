@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from struct import error as StructError  # noqa: N812
 from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import Statistics
-from mcap.summary import Summary
-
+from valor_common.bag_index import BagError, BagIndex, read_index
 from valor_common.errors import ValorError
 
 
@@ -53,7 +48,8 @@ def summarize(path: Path) -> BagSummary:
     counts: dict[tuple[str, str], int] = {}
     starts, ends, messages = [], [], 0
     for file in files:
-        summary, statistics = _index(file)
+        index = _index(file)
+        summary, statistics = index.summary, index.statistics
         messages += statistics.message_count
         if statistics.message_count:
             starts.append(statistics.message_start_time)
@@ -71,16 +67,13 @@ def summarize(path: Path) -> BagSummary:
     return BagSummary(path, sum(file.stat().st_size for file in files), start * 1e-9, duration, messages, topics)
 
 
-def _index(file: Path) -> tuple[Summary, Statistics]:
+def _index(file: Path) -> BagIndex:
     try:
-        with open(file, "rb") as stream:
-            summary = make_reader(stream).get_summary()
+        index = read_index(file)
     except OSError as error:
         raise ValorError(f"{file}: {error.strerror}") from None
-    except (McapError, ValueError, StructError):
-        raise ValorError(
-            f"{file}: not a whole MCAP file; `valorctl bag recover` finishes one that was cut off"
-        ) from None
-    if summary is None or summary.statistics is None:
+    except BagError as error:
+        raise ValorError(f"{error}; `valorctl bag recover` finishes one that was cut off") from None
+    if index is None:
         raise ValorError(f"{file}: has no index; `valorctl bag recover` adds it once the recorder has ended")
-    return summary, summary.statistics
+    return index

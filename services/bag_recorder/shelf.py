@@ -16,7 +16,8 @@ from bag_recorder import tally
 from bag_recorder.bag import Bag, RecordedTopic
 from bag_recorder.clock import ClockChange, WallClock
 from valor_common import rosbag2_metadata
-from valor_common.bag_recovery import BagError, recover
+from valor_common.bag_index import BagError
+from valor_common.bag_recovery import recover
 from valor_common.errors import ConfigurationError
 from valor_common.service import Context
 

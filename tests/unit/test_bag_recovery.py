@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from rosbags.rosbag2 import Reader
 
 from bag_recorder.bag import Bag, RecordedTopic
 from bag_recorder.definitions import definition
-from valor_common.bag_recovery import BagError, recover
+from valor_common.bag_index import BagError
+from valor_common.bag_recovery import recover
 
 TOPICS = [
     RecordedTopic(f"/{name}", f"std_msgs/msg/{name}", definition(f"std_msgs/msg/{name}"))
@@ -108,6 +110,20 @@ def test_a_finished_bag_is_left_alone(tmp_path: Path) -> None:
     assert recover(tmp_path / "a.mcap").finished
     assert (tmp_path / "a.mcap").read_bytes() == before
     assert read(tmp_path / "a.mcap") == messages
+
+
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_finished_bag_keeps_its_messages_whatever_its_index_lost(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "a.mcap"
+    path.unlink(missing_ok=True)
+    _, flushed = write(path, [[0, 1], [2]])
+    damaged = bytearray(path.read_bytes())
+    damaged[data.draw(st.integers(flushed[-1][0], len(damaged) - 1))] ^= data.draw(st.integers(1, 0xFF))
+    path.write_bytes(damaged)
+    with suppress(BagError):  # numbers that are wrong do not show
+        recover(path)
+    assert path.read_bytes()[: flushed[-1][0]] == damaged[: flushed[-1][0]]
 
 
 def test_nothing_after_a_damaged_chunk_is_trusted(tmp_path: Path) -> None:
