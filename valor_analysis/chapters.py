@@ -13,12 +13,6 @@ from typing import Protocol
 from valor_analysis.errors import ResultError
 from valor_analysis.results import FAILURE_FILE, FILE, Failure, Picture, Result
 
-TITLE = "Chapter 5, measured again"
-INTRODUCTION = (
-    "The numerical results of the thesis from which this system was built, repeated on it: each number beside the one "
-    "printed there, and why they differ."
-)
-SHORT = "A short run: it shows that everything works; its numbers say little."
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 

@@ -1,84 +1,37 @@
-"""The report: every experiment's result on one page that needs no other file."""
+"""What a report says, whatever it is written as: a page (``report_html``), paper (``report_pdf``), or a folder for a
+repository (``report_markdown``). Those say how it looks.
+"""
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass
 
-from valor_analysis.chapters import INTRODUCTION, SHORT, TITLE, Chapter, command_for_all
 from valor_analysis.results import Measure, Picture, Result, Table
 
-MEASURES = ("", "here", "unit", "thesis", "what differs, and why")  # columns of an experiment's numbers
-_STYLE = """
-:root { color-scheme: light; --ink: #22272e; --grey: #6b7480; --line: #dde1e6; --soft: #f5f7f9; --accent: #0072b2; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 62rem; padding: 2.5rem 1.5rem 5rem; color: var(--ink); background: white;
-       font: 16px/1.55 "DejaVu Sans", "Segoe UI", Roboto, Helvetica, Arial, sans-serif; }
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .4rem; }
-h2 { font-size: 1.35rem; margin: 3.2rem 0 .2rem; padding-top: 1.4rem; border-top: 2px solid var(--line); }
-h3 { font-size: 1rem; margin: 1.8rem 0 .4rem; }
-p { margin: .5rem 0 .9rem; max-width: 46rem; }
-.quiet { color: var(--grey); font-size: .87rem; }
-nav { margin: 1.4rem 0; padding: .9rem 1.2rem; background: var(--soft); border-radius: .4rem; }
-nav a { display: block; color: var(--accent); text-decoration: none; padding: .12rem 0; }
-nav a:hover { text-decoration: underline; }
-table { border-collapse: collapse; width: 100%; margin: .6rem 0 1rem; font-size: .9rem; }
-th { text-align: left; color: var(--grey); font-weight: normal; border-bottom: 1px solid var(--line); }
-th, td { padding: .32rem .7rem .32rem 0; vertical-align: top; }
-td { border-bottom: 1px solid var(--soft); }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-.measures td:nth-child(1) { width: 27%; } .measures td:nth-child(3) { white-space: nowrap; }
-.measures td:nth-child(4) { width: 17%; } .measures td:nth-child(5) { width: 34%; }
-td.here { font-weight: bold; }
-td.note { color: var(--grey); }
-figure { margin: 1.4rem 0; }
-figure img { width: 100%; height: auto; border: 1px solid var(--line); border-radius: .3rem; }
-figcaption { color: var(--grey); font-size: .87rem; margin-top: .3rem; }
-code { background: var(--soft); padding: .1rem .35rem; border-radius: .25rem; font-size: .88em; }
-.failed { background: #fbe9e7; border-left: 4px solid #b55a52; padding: .5rem .9rem; margin: .8rem 0; }
-.warning { background: #fdf3df; border-left: 4px solid #e69f00; padding: .5rem .9rem; margin: .8rem 0; }
-@media print { body { max-width: none; padding: 0; } h2 { break-before: page; border: 0; }
-               figure, table { break-inside: avoid; } }
-@media (max-width: 40rem) { table { display: block; overflow-x: auto; } }
-"""
+TITLE = "Chapter 5, measured again"
+INTRODUCTION = (
+    "The numerical results of the thesis from which this system was built, repeated on it: each number beside the one "
+    "printed there, and why they differ."
+)
+SHORT = "A short run: it shows that everything works; its numbers say little."
+ALL_AGAIN = "All of it again:"
+AGAIN = "Made again by:"
 
 
-def write(chapters: Sequence[Chapter], file: Path) -> Path:
-    """Write the page; returns its path."""
-    links = "".join(
-        f'<a href="#{_text(chapter.name)}">{_text(chapter.title)} '
-        f'<span class="quiet">{_text(chapter.reproduces)}{"" if chapter.result else " · no result"}</span></a>'
-        for chapter in chapters
-    )
-    command = command_for_all(chapters)
-    again = f'<p class="quiet">All of it again: <code>{_text(command)}</code>.</p>' if command else ""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(
-        "<!doctype html>\n"
-        f'<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{TITLE}</title><style>{_STYLE}</style></head><body>"
-        f"<h1>{TITLE}</h1><p>{INTRODUCTION}</p>"
-        f"<nav>{links}</nav>{again}{''.join(_section(chapter) for chapter in chapters)}</body></html>\n"
-    )
-    return file
+@dataclass(frozen=True)
+class Grid:
+    """Cells of text.
 
+    Attributes:
+        head: names of the columns.
+        rows: below it.
+        right: columns of numbers, which are compared by their ends.
+    """
 
-def _section(chapter: Chapter) -> str:
-    head = f'<h2 id="{_text(chapter.name)}">{_text(chapter.title)}</h2>'
-    result = chapter.result
-    if result is None:
-        return f'{head}<p class="quiet">{_text(chapter.reproduces)}</p><p class="failed">{_text(chapter.absence)}</p>'
-    quick = f'<p class="warning">{SHORT}</p>' if result.quick else ""
-    files = f" Data beside it: {', '.join(_text(file) for file in result.files)}." if result.files else ""
-    return (
-        f'{head}<p class="quiet">{_text(about(result))}</p>'
-        f"{quick}<p>{_text(result.text)}</p>{_measures(result.measures)}"
-        f"{''.join(_table(table) for table in result.tables)}"
-        f"{''.join(_picture(picture, chapter) for picture in result.pictures)}"
-        f'<p class="quiet">Made again by <code>{_text(result.command)}</code>.{files}</p>'
-    )
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    right: frozenset[int]
 
 
 def about(result: Result) -> str:
@@ -89,42 +42,28 @@ def about(result: Result) -> str:
     return " · ".join(part for part in (result.reproduces, result.started, took, settings, host) if part)
 
 
-def _measures(measures: Sequence[Measure]) -> str:
-    rows = "".join(
-        f'<tr><td>{_text(one.name)}</td><td class="number here">{number(one.value)}</td><td>{_text(one.unit)}</td>'
-        f'<td>{_text(one.thesis) or "–"}</td><td class="note">{_text(one.note)}</td></tr>'
-        for one in measures
-    )
-    kinds = ["", ' class="number"', "", "", ""]
-    head = "".join(f"<th{kind}>{name}</th>" for kind, name in zip(kinds, MEASURES, strict=True))
-    return f'<table class="measures"><tr>{head}</tr>{rows}</table>' if rows else ""
+def grid_of_measures(measures: Sequence[Measure]) -> Grid:
+    """An experiment's numbers, each beside the thesis'."""
+    rows = [(one.name, _number(one.value), one.unit, one.thesis or "–", one.note) for one in measures]
+    return Grid(("", "here", "unit", "thesis", "what differs, and why"), rows, frozenset({1}))
 
 
-def _table(table: Table) -> str:
-    kinds = ["" if table.is_text(i) else ' class="number"' for i in range(len(table.columns))]
-    head = "".join(f"<th{kind}>{_text(name)}</th>" for kind, name in zip(kinds, table.columns, strict=True))
-    rows = "".join(
-        "<tr>" + "".join(f"<td{kind}>{_text(cell)}</td>" for kind, cell in zip(kinds, row, strict=True)) + "</tr>"
-        for row in table.rows
-    )
-    return f"<h3>{_text(table.title)}</h3><table><tr>{head}</tr>{rows}</table>"
+def grid_of_table(table: Table) -> Grid:
+    """A table as it is written."""
+    columns = range(len(table.columns))
+    return Grid(table.columns, table.rows, frozenset(i for i in columns if not table.is_text(i)))
 
 
-def _picture(picture: Picture, chapter: Chapter) -> str:
-    if fault := chapter.fault(picture):
-        return f'<p class="failed">{_text(picture.caption)} Not shown: {_text(fault)}.</p>'
-    data = base64.b64encode((chapter.folder / picture.file).read_bytes()).decode()
-    where = f" Reproduces {_text(picture.reproduces)}." if picture.reproduces else ""
-    return (
-        f'<figure><img alt="{_text(picture.caption)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{_text(picture.caption)}{where}</figcaption></figure>"
-    )
+def caption(picture: Picture) -> str:
+    """What stands below a picture."""
+    return f"{picture.caption} Reproduces {picture.reproduces}." if picture.reproduces else picture.caption
 
 
-def number(value: float | None) -> str:
+def not_shown(picture: Picture, fault: str) -> str:
+    """What stands where a picture should be."""
+    return f"{picture.caption} Not shown: {fault}."
+
+
+def _number(value: float | None) -> str:
     """A measure's value, short."""
     return "–" if value is None else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-
-
-def _text(value: str) -> str:
-    return html.escape(value)

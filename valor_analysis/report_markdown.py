@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from valor_analysis.chapters import INTRODUCTION, SHORT, TITLE, Chapter, command_for_all
+from valor_analysis.chapters import Chapter, command_for_all
 from valor_analysis.errors import ResultError
-from valor_analysis.report import MEASURES, about, number
-from valor_analysis.results import Measure, Picture, Table
+from valor_analysis.report import (
+    ALL_AGAIN,
+    INTRODUCTION,
+    SHORT,
+    TITLE,
+    Grid,
+    about,
+    caption,
+    grid_of_measures,
+    grid_of_table,
+    not_shown,
+)
+from valor_analysis.results import Picture
 
 FILE = "README.md"
 
@@ -22,7 +33,7 @@ def write(chapters: Sequence[Chapter], folder: Path) -> Path:
         ResultError: a file cannot be written.
     """
     command = command_for_all(chapters)
-    parts = [f"# {TITLE}", INTRODUCTION, *([f"All of it again:\n\n    {command}"] if command else [])]
+    parts = [f"# {TITLE}", INTRODUCTION, *([f"{ALL_AGAIN}\n\n    {command}"] if command else [])]
     for chapter in chapters:
         parts += _section(chapter)
     try:
@@ -50,32 +61,21 @@ def _section(chapter: Chapter) -> list[str]:
         _text(about(result)),
         *([f"**{SHORT}**"] if result.quick else []),
         _text(result.text),
-        *([_measures(result.measures)] if result.measures else []),
-        *(part for table in result.tables for part in _table(table)),
+        *([_grid(grid_of_measures(result.measures))] if result.measures else []),
+        *(part for table in result.tables for part in (f"**{_text(table.title)}**", _grid(grid_of_table(table)))),
         *(part for picture in result.pictures for part in _picture(picture, chapter)),
     ]
 
 
-def _measures(measures: Sequence[Measure]) -> str:
-    rows = ((one.name, number(one.value), one.unit, one.thesis or "–", one.note) for one in measures)
-    return _rows(MEASURES, rows, right={1})
-
-
-def _table(table: Table) -> tuple[str, str]:
-    right = {i for i in range(len(table.columns)) if not table.is_text(i)}
-    return f"**{_text(table.title)}**", _rows(table.columns, table.rows, right)
-
-
-def _rows(head: Sequence[str], rows: Iterable[Sequence[str]], right: set[int]) -> str:
-    marks = ["--:" if i in right else "---" for i in range(len(head))]
-    return "\n".join(f"| {' | '.join(_text(cell) for cell in row)} |" for row in (head, marks, *rows))
+def _grid(grid: Grid) -> str:
+    marks = ["--:" if i in grid.right else "---" for i in range(len(grid.head))]
+    return "\n".join(f"| {' | '.join(_text(cell) for cell in row)} |" for row in (grid.head, marks, *grid.rows))
 
 
 def _picture(picture: Picture, chapter: Chapter) -> tuple[str, ...]:
     if fault := chapter.fault(picture):
-        return (f"**{_text(picture.caption)} Not shown: {_text(fault)}.**",)
-    where = f" Reproduces {picture.reproduces}." if picture.reproduces else ""
-    return f"![{_text(picture.caption)}]({Path(picture.file).name})", f"*{_text(picture.caption)}{where}*"
+        return (f"**{_text(not_shown(picture, fault))}**",)
+    return f"![{_text(picture.caption)}]({Path(picture.file).name})", f"*{_text(caption(picture))}*"
 
 
 def _text(text: str) -> str:

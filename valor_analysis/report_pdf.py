@@ -1,4 +1,4 @@
-"""The report as a PDF: the same results as on the page, for paper."""
+"""The report as a PDF, for paper."""
 
 from __future__ import annotations
 
@@ -10,10 +10,22 @@ from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 
-from valor_analysis.chapters import INTRODUCTION, SHORT, TITLE, Chapter, command_for_all
+from valor_analysis.chapters import Chapter, command_for_all
 from valor_analysis.errors import ResultError
-from valor_analysis.report import MEASURES, about, number
-from valor_analysis.results import Measure, Picture, Table
+from valor_analysis.report import (
+    AGAIN,
+    ALL_AGAIN,
+    INTRODUCTION,
+    SHORT,
+    TITLE,
+    Grid,
+    about,
+    caption,
+    grid_of_measures,
+    grid_of_table,
+    not_shown,
+)
+from valor_analysis.results import Picture
 from valor_analysis.style import GREY, INK, LIGHT
 
 MARGIN = 18.0  # [mm]
@@ -21,6 +33,7 @@ BODY, SMALL = 9.5, 7.5  # type sizes [pt]
 FAILED = "#b55a52"  # what is not there
 _FONT = "DejaVu"
 _FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+_MEASURE_WIDTHS = (30, 9, 12, 17, 32)  # shares of the width
 _HEAD = FontFace(emphasis="", color=GREY)
 
 
@@ -46,18 +59,16 @@ class _Pages(FPDF):  # type: ignore[misc]  # untyped
         self.set_text_color(color)
         self.multi_cell(0.0, 0.5 * size, text, align=align, new_x="LMARGIN", new_y="NEXT")
 
-    def rows(
-        self, head: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[float], right: set[int]
-    ) -> None:
+    def cells(self, grid: Grid, widths: Sequence[float]) -> None:
         """A table with lines between its rows."""
         self.set_font(_FONT, "", SMALL)
         self.set_text_color(INK)
-        alignment = ["RIGHT" if i in right else "LEFT" for i in range(len(head))]
+        alignment = ["RIGHT" if i in grid.right else "LEFT" for i in range(len(grid.head))]
         with self.table(
             borders_layout=TableBordersLayout.HORIZONTAL_LINES, line_height=0.52 * SMALL, padding=(0.7, 1.2),
             col_widths=tuple(widths), text_align=tuple(alignment), headings_style=_HEAD,
         ) as table:  # fmt: skip
-            for cells in (head, *rows):
+            for cells in (grid.head, *grid.rows):
                 table.row(cells)
         self.ln(3.0)
 
@@ -75,7 +86,7 @@ def write(chapters: Sequence[Chapter], file: Path) -> Path:
     pages.word(INTRODUCTION, BODY)
     pages.ln(2.0)
     if command := command_for_all(chapters):
-        pages.word(f"All of it again: {command}", SMALL, GREY)
+        pages.word(f"{ALL_AGAIN} {command}", SMALL, GREY)
     for i, chapter in enumerate(chapters):
         if i:
             pages.add_page()
@@ -102,38 +113,31 @@ def _section(pages: _Pages, chapter: Chapter) -> None:
         pages.ln(1.5)
     pages.word(result.text, BODY)
     pages.ln(2.0)
-    _measures(pages, result.measures)
+    if result.measures:
+        pages.cells(grid_of_measures(result.measures), _MEASURE_WIDTHS)
     for table in result.tables:
-        _table(pages, table)
+        pages.word(table.title, BODY, style="B")
+        pages.ln(1.0)
+        _table(pages, grid_of_table(table))
     for picture in result.pictures:
         _picture(pages, picture, chapter)
-    pages.word(f"Made again by: {result.command}", SMALL, GREY)
+    pages.word(f"{AGAIN} {result.command}", SMALL, GREY)
 
 
-def _measures(pages: _Pages, measures: Sequence[Measure]) -> None:
-    if measures:
-        rows = [(one.name, number(one.value), one.unit, one.thesis or "–", one.note) for one in measures]
-        pages.rows(MEASURES, rows, (30, 9, 12, 17, 32), {1})
-
-
-def _table(pages: _Pages, table: Table) -> None:
-    pages.word(table.title, BODY, style="B")
-    pages.ln(1.0)
-    longest = [max(len(row[i]) for row in (table.columns, *table.rows)) for i in range(len(table.columns))]
-    widths = [min(max(length, 8), 30) for length in longest]
-    pages.rows(table.columns, table.rows, widths, {i for i in range(len(table.columns)) if not table.is_text(i)})
+def _table(pages: _Pages, grid: Grid) -> None:
+    longest = [max(len(row[i]) for row in (grid.head, *grid.rows)) for i in range(len(grid.head))]
+    pages.cells(grid, [min(max(length, 8), 30) for length in longest])
 
 
 def _picture(pages: _Pages, picture: Picture, chapter: Chapter) -> None:
     if fault := chapter.fault(picture):
-        pages.word(f"{picture.caption} Not shown: {fault}.", BODY, FAILED)
+        pages.word(not_shown(picture, fault), BODY, FAILED)
         pages.ln(3.0)
         return
-    where = f" Reproduces {picture.reproduces}." if picture.reproduces else ""
     try:
         with pages.unbreakable() as block:
             block.image(str(chapter.folder / picture.file), w=block.epw)
-            block.word(f"{picture.caption}{where}", SMALL, GREY)
+            block.word(caption(picture), SMALL, GREY)
             block.ln(3.0)
     except OSError as error:
         reason = error.strerror or "not a picture"

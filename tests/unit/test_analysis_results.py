@@ -17,7 +17,7 @@ import psutil
 import pytest
 
 from tests import analysis_bag
-from valor_analysis import chapters, report, report_markdown, report_pdf
+from valor_analysis import chapters, report_html, report_markdown, report_pdf
 from valor_analysis.bag import Bag
 from valor_analysis.errors import BagError, ResultError, SignalError
 from valor_analysis.joint_signals import JointSignals, draw, neck
@@ -91,7 +91,7 @@ def test_a_page_holds_all_and_needs_no_other_file(tmp_path: Path) -> None:
         assert Result.load(made.save(folder).parent) == made
     found = collect(tmp_path, "two", "absent", "one")
     assert [each.result is not None for each in found] == [True, False, True]
-    page = Page(report.write(found, tmp_path / "out" / "report.html"))
+    page = Page(report_html.write(found, tmp_path / "out" / "report.html"))
     assert page.open == []
     assert page.outside == []
     assert page.links == ["#two", "#absent", "#one"]
@@ -161,7 +161,7 @@ def test_what_failed_or_is_broken_is_told_in_its_place_and_costs_no_other(tmp_pa
         "absent": f"there is no folder {tmp_path / 'absent'}",
     }
     assert [chapter.name for chapter in found if chapter.broken] == ["failed", "unfinished", "broken", "faded"]
-    page = Page(report.write(found, tmp_path / "report.html"))
+    page = Page(report_html.write(found, tmp_path / "report.html"))
     assert page.open == []
     assert len(page.images) == 1
     markdown = report_markdown.write(found, tmp_path / "out").read_text().replace("\\<", "<")

@@ -81,13 +81,12 @@ def report(
 
 def _report(folder: Path, out: Path) -> None:
     """Write the report of what is there; then complain of what should be there and is not."""
-    from valor_analysis import chapters, report_markdown, report_pdf
-    from valor_analysis import report as page
+    from valor_analysis import chapters, report_html, report_markdown, report_pdf
     from valorctl.experiments.table import EXPERIMENTS
 
     found = chapters.collect(folder, EXPERIMENTS)
     files = (
-        page.write(found, out / "report.html"),
+        report_html.write(found, out / "report.html"),
         report_pdf.write(found, out / "report.pdf"),
         report_markdown.write(found, out),
     )
