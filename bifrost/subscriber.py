@@ -106,7 +106,8 @@ class Subscriber(Generic[M]):
             None after the time-out, or when woken.
         """
         if timeout is not None and timeout <= 0.0:
-            return self._next() if self._keep_all else self.latest()
+            # What is conflated on its way, of one publisher, is the newest already.
+            return self._next() if self._keep_all or not (self._waiting or self._source.several) else self.latest()
         deadline = 0.0 if timeout is None else time.monotonic() + timeout
         milliseconds = -1 if timeout is None else int(timeout * 1000.0) + 1
         while True:

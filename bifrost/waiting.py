@@ -90,7 +90,8 @@ class Poller(Generic[L]):
     """Tells which of many may have something, by one system call however many there are.
 
     For a control loop: to find that nothing has come costs as much for ten subscribers as for one, and a tenth of
-    what asking each of them does. What is told must be emptied (``drain``, ``latest``, ``serve``), for it is told once.
+    what asking each of them does; to wait for all of them costs no more. What is told must be emptied (``drain``,
+    ``latest``, ``serve``), for it is told once.
     """
 
     def __init__(self, items: Sequence[L]) -> None:
@@ -103,12 +104,16 @@ class Poller(Generic[L]):
         self._most = max(1, len(items))
         self._all: list[L] | None = list(items)  # they may have something that their descriptors have told before
 
-    def look(self) -> list[L]:
-        """Those that may have something; the first time, all. Never blocks."""
+    def look(self, timeout: float = 0.0) -> list[L]:
+        """Those that may have something; the first time, all.
+
+        Args:
+            timeout: how long to wait for the first of them [s]; zero: not at all.
+        """
         if self._all is not None:
             everything, self._all = self._all, None
             return everything
-        events = self._poll(0, self._most)
+        events = self._poll(timeout, self._most)
         return [self._items[descriptor] for descriptor, _ in events] if events else []
 
     def close(self) -> None:

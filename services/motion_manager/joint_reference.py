@@ -6,11 +6,14 @@ between it and the robot.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.limiter import JointLimiter
 from motion_manager.posture_move import PostureMove
 from valor_common.robot import FloatVector, RobotDescription
@@ -44,10 +47,12 @@ class JointReference:
         n = len(robot.joints)
         self._limiter = JointLimiter(robot)
         self._move_velocity = np.minimum(MOVE_VELOCITY_FACTOR * robot.velocity_limit, MOVE_VELOCITY)
-        self._setpoint = self._limiter.position.copy()
-        self._setpoint_velocity = np.zeros(n)
-        self._setpoint_acceleration = np.zeros(n)
-        self._setpoint_time = np.zeros(n)
+        followed = np.zeros((4, n))  # what is followed, of which time it is [s]
+        self._setpoint, self._setpoint_velocity, self._setpoint_acceleration, self._setpoint_time = followed
+        self._setpoint[:] = self._limiter.position
+        self._now = np.zeros(1)
+        self._target, self._fresh = np.zeros((3, n)), np.zeros(1)
+        self._run_on = Kernel("setpoints", _run_on, (followed, self._now), (self._target, self._fresh))
         self._target_acceleration = np.zeros(n)
         self._move: PostureMove | None = None
         self._moving: Joints = np.zeros(n, dtype=bool)
@@ -131,13 +136,10 @@ class JointReference:
         """Go one control period."""
         target, velocity, acceleration = self._setpoint, self._setpoint_velocity, self._setpoint_acceleration
         if self._running_on:
-            since = now - self._setpoint_time
-            age = np.maximum(np.minimum(since, SETPOINT_HORIZON), 0.0)
-            target = target + age * (velocity + (0.5 * age) * acceleration)
-            fresh = since < SETPOINT_HORIZON
-            velocity = fresh * (velocity + age * acceleration)
-            acceleration = fresh * acceleration
-            if not fresh.any():
+            self._now[0] = now
+            self._run_on()
+            target, velocity, acceleration = self._target.copy()
+            if not self._fresh[0]:
                 self._come_to_rest(target)
         if self._move is not None:
             position, move_velocity, move_acceleration = self._move.at(now)
@@ -151,7 +153,19 @@ class JointReference:
 
     def _come_to_rest(self, target: FloatVector) -> None:
         """No set-point is fresh: what they had run on to is where the joints stay."""
-        self._setpoint = target
-        self._setpoint_velocity = np.zeros_like(target)
-        self._setpoint_acceleration = np.zeros_like(target)
+        self._setpoint[:] = target
+        self._setpoint_velocity[:] = self._setpoint_acceleration[:] = 0.0
         self._running_on = False
+
+
+def _run_on(followed: Expression, now: Expression) -> Sequence[Expression]:
+    """(3, n) positions, velocities and accelerations at ``now`` of what is followed; whether any of it is fresh."""
+    position, velocity, acceleration, time = (followed[i, :] for i in range(4))
+    since = now - time
+    age = ca.fmax(ca.fmin(since, SETPOINT_HORIZON), 0.0)
+    fresh = since < SETPOINT_HORIZON
+    target = position + age * (velocity + (0.5 * age) * acceleration)
+    return (
+        ca.vertcat(target, fresh * (velocity + age * acceleration), fresh * acceleration),
+        ca.mmax(fresh),
+    )

@@ -61,6 +61,8 @@ STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
 NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
 
+Input = bifrost.Subscriber[Any] | bifrost.Server[Any, Any]
+
 _log = logging.getLogger("motion_manager")
 
 
@@ -93,7 +95,7 @@ class MotionManagerService:
             FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle
         )
         self._devices = node.subscriber(DEVICES.name, DeviceStatus)
-        self._takes: dict[bifrost.Subscriber[Any], Callable[[], None]] = {
+        self._commands: dict[Input, Callable[[], None]] = {
             self._setpoints: self._take_setpoints,
             self._velocity: self._take_velocities,
             self._pelvis: self._take_pelvis,
@@ -101,15 +103,14 @@ class MotionManagerService:
             self._gains: self._take_gains,
             self._weights: self._take_weights,
         }
-        self._commands = bifrost.Poller(tuple(self._takes))
-        self._serves: dict[bifrost.Server[Any, Any] | bifrost.Subscriber[Any], Callable[[], object]] = {
+        self._requests: dict[Input, Callable[[], object]] = {
             self._behavior: self._behavior.serve,
             self._footstep_plan: self._footstep_plan.serve,
             self._devices: self._hear_devices,
         }
-        self._requests = bifrost.Poller(tuple(self._serves))
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
         self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._inputs: bifrost.Poller[Input] = bifrost.Poller((self._proprioceptor, *self._commands, *self._requests))
         self._changes = self._manager.fsm.changes
         self._step_status_due = 0
         self._step_changes = 0
@@ -117,7 +118,11 @@ class MotionManagerService:
         self._statistics.count(self._counts)
 
     def run(self) -> None:
-        """Answer every Proprioceptor until told to stop."""
+        """Answer every Proprioceptor until told to stop.
+
+        Between two of them, commands and requests are dealt with as they come: what came before a Proprioceptor counts
+        in its period, and takes none of its time.
+        """
         quiet_collector()
         if take_real_time(BY_NAME[self._context.name].real_time):
             _log.info("the loop runs in real time")
@@ -125,27 +130,37 @@ class MotionManagerService:
         self._wait_for_robot(f"no {PROPRIOCEPTOR.name} yet")
         heard = time.monotonic()
         while not self._context.stopping.is_set():
-            received = self._proprioceptor.receive(NAP)
+            received = self._proprioceptor.receive(0.0)
+            waiting = self._inputs.look(NAP if received is None else 0.0)
+            if received is None and self._proprioceptor in waiting:
+                received = self._proprioceptor.receive(0.0)
+            for item in waiting:
+                if item in self._commands:
+                    self._commands[item]()
             if received is not None and received.origin != PROPRIOCEPTOR.publisher:
                 # A bag played back into a running system must not be taken for the robot.
                 reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.publisher}"
                 self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
-            elif received is not None:
+                received = None
+            began = 0.0
+            if received is not None:
                 heard = began = received.arrived * 1e-9
                 self._tick(received.message, began)
-                self._attend()
+            for item in waiting:
+                if item in self._requests:
+                    self._requests[item]()
+            self._attend()
+            if received is not None:
                 self._statistics.cycle(began)
                 self._tick_time = time.monotonic() - began
                 continue
             if time.monotonic() - heard > SILENCE:
                 self._wait_for_robot(f"{PROPRIOCEPTOR.name} is silent: is the Comms Manager running?")
-            self._attend()
             self._statistics.idle()
 
     def close(self) -> None:
         """The node itself belongs to the context."""
-        self._commands.close()
-        self._requests.close()
+        self._inputs.close()
 
     def _wait_for_robot(self, why: str) -> None:
         """Say that no robot is in our hands."""
@@ -156,8 +171,6 @@ class MotionManagerService:
     def _tick(self, proprioceptor: Proprioceptor, began: float) -> None:
         """One control period: the Motor first."""
         manager = self._manager
-        for subscriber in self._commands.look():
-            self._takes[subscriber]()
         self._motor.publish(manager.tick(proprioceptor))
         self._motion_state.publish(manager.report(time.monotonic() - began, self._tick_time))
         if manager.in_control and manager.silent:
@@ -165,10 +178,8 @@ class MotionManagerService:
             self._statistics.state("ready")
 
     def _attend(self) -> None:
-        """What may wait until the Motor has left: requests, reports, counts."""
+        """What may wait until the Motor has left: reports, counts."""
         manager = self._manager
-        for item in self._requests.look():
-            self._serves[item]()
         for rejection in manager.rejections.take():
             self._rejection.publish(rejection)
         changed = manager.footstep_handler.changes != self._step_changes
@@ -184,14 +195,15 @@ class MotionManagerService:
     def _counts(self) -> tuple[int, int]:
         """What was refused and what was missed, since start."""
         manager = self._manager
+        commands = [item for item in self._commands if isinstance(item, bifrost.Subscriber)]
         rejected = (
             manager.rejections.total
-            + sum(subscriber.rejected for subscriber in self._takes)
+            + sum(subscriber.rejected for subscriber in commands)
             + self._proprioceptor.rejected
             + self._behavior.rejected
             + self._footstep_plan.rejected
         )
-        return rejected, manager.missed + sum(subscriber.drops for subscriber in self._takes)
+        return rejected, manager.missed + sum(subscriber.drops for subscriber in commands)
 
     # --- what comes in, handed to those that check it -------------------------------------------------------------
 
