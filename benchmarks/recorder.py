@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import psutil
@@ -54,7 +55,7 @@ def main() -> int:
             _watch(Instance.from_environment(), options.minutes, bag)
         finally:
             subprocess.run([VALORCTL, "down"], check=True, stdout=subprocess.DEVNULL)
-        return _tell(bag / f"{bag.name}.mcap", options)
+        return _tell(sorted(bag.glob("*.mcap")), options)
 
 
 def _watch(instance: Instance, minutes: float, bag: Path) -> None:
@@ -89,12 +90,16 @@ def _watch(instance: Instance, minutes: float, bag: Path) -> None:
         print(f"\n{usage.cpu.mean():.1f} % of a core; memory grew by {grown:+.1f} MiB after the first half minute")
 
 
-def _tell(file: Path, options: argparse.Namespace) -> int:
+def _tell(files: list[Path], options: argparse.Namespace) -> int:
     """What became of each topic's messages; returns whether one was lost."""
-    with open(file, "rb") as opened:
-        records = {each.name: each.metadata for each in make_reader(opened).iter_metadata()}
-    counts = {topic: json.loads(count) for topic, count in records["topics"].items()}
-    print(f"\n{options.robot}, {options.profile}: {file.stat().st_size / 1e6:.0f} MB\n")
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for file in files:
+        with open(file, "rb") as opened:
+            records = {each.name: each.metadata for each in make_reader(opened).iter_metadata()}
+        for topic, count in records["topics"].items():
+            counts[topic].update(json.loads(count))
+    size = sum(file.stat().st_size for file in files)
+    print(f"\n{options.robot}, {options.profile}: {size / 1e6:.0f} MB in {len(files)} files\n")
     _print_row("topic", "received", "written", "dropped")
     _print_row("---", "--:", "--:", "--:")
     for topic, count in counts.items():

@@ -30,7 +30,8 @@ class Recording(Table):
 
     only: tuple[str, ...] = ()  # shell patterns of topics' names in the bag; none: all
     without: tuple[str, ...] = ()  # and of those left out
-    split_bytes: Annotated[int, Meta(ge=1 << 20)] | None = None  # of a bag, after which the next begins [B]
+    # Of a bag, after which the next begins [B]: what every file system takes, and a recovery reads in seconds.
+    split_bytes: Annotated[int, Meta(ge=1 << 20)] = 4_000_000_000
     split_seconds: Annotated[float, Meta(ge=1.0)] | None = None  # [s]
     ring_seconds: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
 

@@ -100,8 +100,8 @@ class Continuous:
         self._shelf.add_latched(bag, wall_time(self._clock))
 
     def _is_full(self, bag: Bag, now: float) -> bool:
-        size, seconds = self._settings.split_bytes, self._settings.split_seconds
-        return (size is not None and bag.size >= size) or (seconds is not None and now - self._begun >= seconds)
+        seconds = self._settings.split_seconds
+        return bag.size >= self._settings.split_bytes or (seconds is not None and now - self._begun >= seconds)
 
     def _try_again(self, now: float) -> None:
         self._next_try = now + RETRY_PERIOD

@@ -1,16 +1,19 @@
-"""The MCAP library's writer with a shorter way for messages: most of what a recorder does is adding them.
+"""The MCAP library's writer with a shorter way for messages, and a smaller index.
 
 What comes out is the same, byte for byte, which a test holds against the library's own way. That one makes an object a
-message and packs its six numbers one by one, which takes twice as long as all the rest.
+message and packs its six numbers one by one, which takes twice as long as all the rest. And until the file is finished
+it keeps an object a chunk with a number a topic: six chunks a second of fifty topics were a gigabyte a day.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Self
 
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import MessageIndex
+from mcap.records import ChunkIndex, MessageIndex
 from mcap.writer import Writer
 
 _HEAD = struct.Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log time, publish time
@@ -18,11 +21,28 @@ _FIXED = _HEAD.size - 9  # of the rest, what stands before the data [B]
 _MESSAGE = int(Opcode.MESSAGE)
 
 
+class _PackedIndex:
+    """The index of all chunks as it will stand in the file. To the library it is a list of one record."""
+
+    def __init__(self) -> None:
+        self._records = RecordBuilder()
+
+    def append(self, index: ChunkIndex) -> None:
+        index.write(self._records)
+
+    def __iter__(self) -> Iterator[Self]:
+        yield self
+
+    def write(self, summary: RecordBuilder) -> None:
+        summary.write(self._records.end())
+
+
 class QuickWriter(Writer):  # type: ignore[misc]  # untyped
-    """Writes chunks; everything but ``add_message`` is the library's."""
+    """Writes chunks; everything but ``add_message`` and the index until the end is the library's."""
 
     def __init__(self, output: Any, **options: Any) -> None:
         super().__init__(output, use_chunking=True, **options)
+        self._Writer__chunk_indices = _PackedIndex()
         self._chunk: Any = self._Writer__chunk_builder
         self._totals: Any = self._Writer__statistics
         self._finish_large_chunk: Any = self._Writer__maybe_finalize_chunk

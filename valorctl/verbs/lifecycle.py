@@ -41,7 +41,8 @@ def up(
         list[str] | None, typer.Option(metavar="PATTERN", help="Leave out topics like '*/statistics'; may be repeated.")
     ] = None,
     bag_split: Annotated[
-        list[str] | None, typer.Option(metavar="SIZE|TIME", help="Begin a new bag every 500MB, 2GB, 60s or 10min.")
+        list[str] | None,
+        typer.Option(metavar="SIZE|TIME", help="Begin a new bag every 500MB, 60s or 10min; without, every 4GB."),
     ] = None,
     bag_ring: Annotated[
         float | None, typer.Option(metavar="S", help="Hold the last seconds; save them on a fall or `bag snap`.")
