@@ -10,32 +10,32 @@ listens to what is said a few times a second and no more; `valorctl walk` is the
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import psutil
-from live_system import VALORCTL
+from live_system import push, started, valorctl
 from rich.console import Console
 from rich.table import Table
 
 import bifrost
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.messages import ClockStatus, MotionState, PushReply, PushRequest, Statistics
+from valor_common.messages import ClockStatus, MotionState, Statistics
 from valor_common.processes import BY_NAME
-from valor_common.topics import CLOCK, MOTION_STATE, PUSH, STATISTICS
+from valor_common.topics import CLOCK, MOTION_STATE, STATISTICS
 from valorctl.leftovers import processes_of
 
 SETTLING = 6.0  # after `up` [s]
 PATIENCE = 10.0  # with the system [s]
+REST = 0.01  # of the DCM from its reference, at most, when a push is over [m]
+LOOKS = 10  # in a row that the robot must be at rest
+LOOK_PERIOD = 0.1  # [s]
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class Reading:
     robot: float  # [s]
     cpu: dict[str, float]  # by process, since its start [s]
 
-    def since(self, before: Reading) -> tuple[float, float, dict[str, float]]:
-        """Real-time factor, share of both cores' time that anybody used, and CPU per robot second by process [%]."""
-        passed, robot = self.wall - before.wall, self.robot - before.robot
+    def since(self, before: Reading) -> tuple[float, dict[str, float]]:
+        """Real-time factor, and CPU per robot second by process [%]."""
+        robot = self.robot - before.robot
         cpu = {name: 100.0 * (spent - before.cpu.get(name, 0.0)) / robot for name, spent in self.cpu.items()}
-        return robot / passed, passed, cpu
+        return robot / (self.wall - before.wall), cpu
 
 
 class Watch:
@@ -60,7 +60,7 @@ class Watch:
         self._clock = node.subscriber(CLOCK.name, ClockStatus)
         self._states = node.subscriber(MOTION_STATE.name, MotionState)
         self._emulators = node.subscriber(STATISTICS["device_emulators"].name, Statistics)
-        self._push = node.client(PUSH.name, PushRequest, PushReply)
+        self._node = node
         self._processes = {_name(each): each for each in processes_of(instance)}
 
     def read(self) -> Reading:
@@ -70,10 +70,12 @@ class Watch:
         cpu = {name: sum(process.cpu_times()[:2]) for name, process in self._processes.items()}
         return Reading(time.monotonic(), 1e-9 * received.message.time, cpu)
 
-    def behavior(self) -> str:
-        """Of the Motion System."""
-        received = self._states.receive(PATIENCE)
-        return received.message.behavior if received else "silent"
+    def state(self) -> MotionState:
+        """Of the Motion System, the newest from now on."""
+        self._states.latest()
+        if (received := self._states.receive(PATIENCE)) is None:
+            raise ValorError(f"{MOTION_STATE.name} is silent for {PATIENCE:g} s")
+        return received.message
 
     def commands(self) -> str:
         """What the emulated plant says of the commands that it got."""
@@ -81,10 +83,18 @@ class Watch:
         return received.message.detail if received else "?"
 
     def push(self, impulse: float) -> None:
-        """Sideways, for 0.1 s [N·s]."""
-        reply = self._push.call(PushRequest(impulse_in_world=np.array((0.0, impulse, 0.0)), duration=0.1), PATIENCE)
-        if not reply.accepted:
-            raise ValorError(f"push refused: {reply.reason}")
+        """Sideways [N·s], until the robot is at rest again; raises ValorError when it does not come to it."""
+        push(self._node, (0.0, impulse, 0.0))
+        deadline, rested = time.monotonic() + PATIENCE, 0
+        while rested < LOOKS:
+            time.sleep(LOOK_PERIOD)
+            state = self.state()
+            off = float(np.hypot(*(state.dcm_in_odom - state.dcm_reference_in_odom)[:2]))
+            rested = rested + 1 if state.behavior == "stand" and off < REST else 0
+            if time.monotonic() > deadline:
+                raise ValorError(
+                    f"{state.behavior}, DCM off by {1e3 * off:.0f} mm, {PATIENCE:g} s after a push of {impulse:g} N·s"
+                )
 
 
 def _name(process: psutil.Process) -> str:
@@ -93,32 +103,11 @@ def _name(process: psutil.Process) -> str:
     return next((name for name, row in BY_NAME.items() if row.module in line), "supervisor")
 
 
-@contextmanager
-def running(home: Path, options: argparse.Namespace) -> Iterator[tuple[Instance, Callable[..., str]]]:
-    """The system, and `valorctl` for it."""
-    environment = os.environ | {"VALOR_HOME": str(home), "VALOR_INSTANCE": "hardware"}
-
-    def valorctl(*arguments: str) -> str:
-        command = [str(VALORCTL), *arguments]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise ValorError(f"valorctl {' '.join(arguments)}: {(done.stderr or done.stdout).strip()}")
-        return done.stdout.strip()
-
-    valorctl("up", "--profile", options.profile, "--seed", str(options.seed))
-    try:
-        yield Instance("hardware", home), valorctl
-    finally:
-        valorctl("down")
-
-
 def measure(options: argparse.Namespace, home: Path) -> list[tuple[str, float, dict[str, float], str]]:
     """Stand, walk, be pushed; a column each: what, real-time factor, CPU by process, word on the commands."""
     columns = []
-    with (
-        running(home, options) as (instance, valorctl),
-        bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node,
-    ):
+    instance = Instance("hardware", home)
+    with started(instance, "--profile", options.profile, "--seed", str(options.seed)) as node:
         watch = Watch(instance, node)
         time.sleep(SETTLING)
 
@@ -128,9 +117,9 @@ def measure(options: argparse.Namespace, home: Path) -> list[tuple[str, float, d
                 said = action()
             except ValorError as error:  # what was measured until then is worth telling
                 said = str(error)
-            factor, _, cpu = watch.read().since(before)
+            factor, cpu = watch.read().since(before)
             columns.append((name, factor, cpu, watch.commands()))
-            print(f"{name}: {factor:.3f} × real time; {watch.behavior()}; {said}; {columns[-1][3]}", flush=True)
+            print(f"{name}: {factor:.3f} × real time; {watch.state().behavior}; {said}; {columns[-1][3]}", flush=True)
 
         def wait(seconds: float) -> str:
             time.sleep(seconds)
@@ -138,12 +127,12 @@ def measure(options: argparse.Namespace, home: Path) -> list[tuple[str, float, d
 
         phase("standing", lambda: wait(options.seconds))
         if options.vx:
-            phase("walking", lambda: valorctl("walk", "--vx", str(options.vx), "--for", str(options.seconds)))
+            phase("walking", lambda: valorctl(instance, "walk", "--vx", str(options.vx), "--for", str(options.seconds)))
         if options.push:
             for k in range(options.pushes):
                 watch.push((-1) ** k * options.push)
-                time.sleep(4.0)
-            print(f"after {options.pushes} pushes of {options.push:g} N·s sideways: {watch.behavior()}", flush=True)
+            after = f"after {options.pushes} pushes of {options.push:g} N·s sideways"
+            print(f"{after}: {watch.state().behavior}", flush=True)
     return columns
 
 

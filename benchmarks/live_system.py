@@ -1,11 +1,7 @@
-"""A live system that a benchmark drives, and an observer outside that hears what it says.
-
-The simulator's truth is for the record alone: the true way.
-"""
+"""A live system that a benchmark starts, drives and stops."""
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -16,133 +12,59 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from observer import Observer
 
 import bifrost
-from valor_analysis.walk import Track
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.messages import (
-    ClockStatus,
-    GroundTruth,
-    MotionState,
-    Proprioceptor,
-    PushReply,
-    PushRequest,
-    Statistics,
-)
+from valor_common.messages import PushReply, PushRequest
 from valor_common.robot import RobotDescription
-from valor_common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR, PUSH
+from valor_common.topics import PUSH
 from valorctl import control_mode
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
-SILENCE = 10.0  # of the Motion Manager, after which a run is given up [s]
 SETTLING = 3.0  # from the servos' posture to the controller's, after `up` [robot time, s]
-_PIECE = 2000  # states that are kept as messages
-_LATE = 200  # of them may still wait for the measurement that they answer
 
 
-class Observer:
-    """Hears what one run says.
+def valorctl(instance: Instance, *arguments: str) -> str:
+    """One verb for an instance; returns what it says.
 
-    Attributes:
-        state: the Motion Manager's newest.
+    Raises:
+        ValorError: it failed.
     """
-
-    state: MotionState
-
-    def __init__(self, node: bifrost.Node, robot: RobotDescription, tell: Callable[[str], None]) -> None:
-        self._states = node.subscriber(MOTION_STATE.name, MotionState, queue=20000)
-        self._measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=20000)
-        self._truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=20000)
-        self._clock = node.subscriber(CLOCK.name, ClockStatus, queue=1000)
-        self._statistics = node.subscriber(MOTION_MANAGER_STATISTICS.name, Statistics, queue=1000)
-        self._robot, self._tell = robot, tell
-        self._waiting: list[MotionState] = []
-        self._answered: list[Proprioceptor] = []
-        self._pieces: list[Track] = []
-        self._truth: list[GroundTruth] = []  # first and last
-        self._clocks: list[ClockStatus] = []
-        self._fares: list[Statistics] = []
-        self._heard = time.monotonic()
-        while not hasattr(self, "state"):
-            self.hear()
-            time.sleep(0.01)
-
-    def hear(self) -> None:
-        """Take in what has come.
-
-        Raises:
-            ValorError: nothing comes any more.
-        """
-        came = [received.message for received in self._states.drain()]
-        self._answered += [received.message for received in self._measured.drain()]
-        self._clocks += [received.message for received in self._clock.drain()]
-        self._fares += [received.message for received in self._statistics.drain()]
-        for received in self._truths.drain():
-            self._truth[1:] = [received.message]
-        if came:
-            self._heard = time.monotonic()
-            self.state = came[-1]
-            self._waiting += came
-            if len(self._waiting) > _PIECE:
-                self._keep(_LATE)
-            place = self._truth[-1].pelvis_position_in_world if self._truth else self.state.pelvis_position_in_odom
-            self._tell(f"{1e-9 * self.state.time:.0f} s, {place[0]:.1f}, {place[1]:.1f} m, {self.state.behavior}")
-        elif time.monotonic() - self._heard > SILENCE:
-            raise ValorError(f"{MOTION_STATE.name} is silent for {SILENCE:g} s")
-
-    def _keep(self, late: int) -> None:
-        """Keep all but the last states as numbers: a long run has more messages than memory."""
-        split = len(self._waiting) - late
-        if split > 0:
-            self._pieces.append(Track.heard(self._waiting[:split], self._answered, self._robot))
-            last = self._waiting[split - 1].proprioceptor_sequence
-            self._answered = [each for each in self._answered if each.sequence > last]
-            del self._waiting[:split]
-
-    def wait(self, over: Callable[[MotionState], bool], longest: float) -> bool:
-        """Listen until a state says so; whether one did within ``longest`` of robot time [s]."""
-        until = self.state.time + round(longest * 1e9)
-        while not over(self.state):
-            if self.state.time > until:
-                return False
-            time.sleep(0.01)
-            self.hear()
-        return True
-
-    def track(self) -> Track:
-        """All that was heard."""
-        self._keep(0)
-        return Track.joined(self._pieces)
-
-    @property
-    def lost(self) -> int:
-        """Messages that this observer missed."""
-        return self._states.drops + self._measured.drops
-
-    def timeliness(self) -> dict[str, float]:
-        """Deadlines missed, waits timed out, slip [s], real-time factor; from the first word heard to the last."""
-        figures = {"overruns": 0.0, "waits_timed_out": 0.0, "slip": 0.0, "real_time_factor": math.nan}
-        if self._fares:
-            figures["overruns"] = self._fares[-1].overruns - self._fares[0].overruns
-        if self._clocks:
-            first, last = self._clocks[0], self._clocks[-1]
-            figures["waits_timed_out"] = last.waits_timed_out - first.waits_timed_out
-            figures["slip"] = last.slip - first.slip
-            figures["real_time_factor"] = float(np.mean([each.real_time_factor for each in self._clocks]))
-        return figures
-
-    def way(self) -> tuple[float, float, float]:
-        """The true way of the pelvis: forward, left [m], turned [rad]."""
-        first, last = self._truth[0], self._truth[-1]
-        x, y = (last.pelvis_position_in_world - first.pelvis_position_in_world)[:2].tolist()
-        turned = _heading(last.pelvis_orientation_in_world) - _heading(first.pelvis_orientation_in_world)
-        return x, y, math.remainder(turned, 2.0 * math.pi)
+    environment = os.environ | {"VALOR_HOME": str(instance.folder.parent), "VALOR_INSTANCE": instance.name}
+    command = [str(VALORCTL), *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ValorError(f"valorctl {' '.join(arguments)}: {(done.stderr or done.stdout).strip()}")
+    return done.stdout.strip()
 
 
-def _heading(orientation: np.ndarray) -> float:
-    w, x, y, z = orientation.tolist()
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+@contextmanager
+def started(instance: Instance, *options: str) -> Iterator[bifrost.Node]:
+    """A system of ``valorctl up`` with options, and a node in its network; taken down behind.
+
+    Raises:
+        ValorError: it does not start.
+    """
+    valorctl(instance, "up", *options)
+    try:
+        with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+            yield node
+    finally:
+        valorctl(instance, "down")
+
+
+def push(node: bifrost.Node, impulse: tuple[float, float, float]) -> None:
+    """Push the chest for 0.1 s [N·s].
+
+    Raises:
+        ValorError: it is refused.
+    """
+    client = node.client(PUSH.name, PushRequest, PushReply)
+    reply = client.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
+    if not reply.accepted:
+        raise ValorError(f"push refused: {reply.reason}")
 
 
 @dataclass(frozen=True)
@@ -174,10 +96,7 @@ class System:
         Raises:
             ValorError: it is refused.
         """
-        client = self.node.client(PUSH.name, PushRequest, PushReply)
-        reply = client.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
-        if not reply.accepted:
-            raise ValorError(f"push refused: {reply.reason}")
+        push(self.node, impulse)
 
 
 @contextmanager
@@ -192,22 +111,10 @@ def running(instance: Instance, options: dict[str, object], tell: Callable[[str]
     Raises:
         ValorError: it does not start; in the context: it fell silent.
     """
-    environment = os.environ | {"VALOR_HOME": str(instance.folder.parent), "VALOR_INSTANCE": instance.name}
-
-    def valorctl(*arguments: str) -> None:
-        command = [str(VALORCTL), *arguments]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise ValorError(f"valorctl {' '.join(arguments)}: {done.stderr.strip()}")
-
     began = time.monotonic()
-    valorctl("up", *(str(each) for name, value in options.items() for each in (f"--{name}", value)))
-    up = time.monotonic() - began
-    try:
+    with started(instance, *(str(each) for name, value in options.items() for each in (f"--{name}", value))) as node:
+        up = time.monotonic() - began
         robot = RobotDescription.load(instance.settings().robot)
-        with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
-            observer = Observer(node, robot, tell)
-            observer.wait(lambda _: False, SETTLING)
-            yield System(instance, node, observer, up)
-    finally:
-        valorctl("down")
+        observer = Observer(node, robot, tell)
+        observer.wait(lambda _: False, SETTLING)
+        yield System(instance, node, observer, up)

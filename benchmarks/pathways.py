@@ -22,8 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
@@ -32,16 +31,17 @@ from typing import Any
 import numpy as np
 import psutil
 import zmq
+from live_system import started
 from rich.console import Console
 from rich.table import Table
 
 import bifrost
+from valor_common.errors import ValorError
 from valor_common.instance import Instance
 from valor_common.messages import JointSetpoints, Motor, Proprioceptor, Statistics
 from valor_common.robot import RobotDescription
 from valor_common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, VALOR_ROS_CONTROLLER_STATISTICS
 
-VALORCTL = Path(sys.executable).with_name("valorctl")
 INSTANCE = "pathways"
 RATE = 250.0  # of the floor's messages, as of /joint_states [Hz]
 PATIENCE = 20.0  # [s]
@@ -367,32 +367,14 @@ def cost(node: bifrost.Node, seconds: float) -> dict[str, float]:
     }
 
 
-@contextmanager
-def system(home: Path, options: list[str]) -> Iterator[Instance]:
-    """The whole system, up and down again."""
-    environment = os.environ | {"VALOR_HOME": str(home), "VALOR_INSTANCE": INSTANCE}
-
-    def valorctl(*arguments: str) -> None:
-        result = subprocess.run(
-            [str(VALORCTL), *arguments], env=environment, capture_output=True, text=True, check=False
-        )
-        if result.returncode:
-            sys.exit(f"valorctl {' '.join(arguments)}: {result.stderr.strip()}")
-
-    valorctl("up", *options)
-    try:
-        yield Instance(INSTANCE, home)
-    finally:
-        valorctl("down")
-
-
 def measure(options: argparse.Namespace) -> tuple[list[Row], dict[str, float]]:
     """Everything, in one run."""
-    with tempfile.TemporaryDirectory(prefix="valor-") as folder, system(Path(folder), options.up) as instance:
-        os.environ.update(instance.environment())
-        robot = RobotDescription.load(instance.settings().robot)
-        ears = Ears()
-        with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+    with tempfile.TemporaryDirectory(prefix="valor-") as folder:
+        instance = Instance(INSTANCE, Path(folder))
+        with started(instance, *options.up) as node:
+            os.environ.update(instance.environment())
+            robot = RobotDescription.load(instance.settings().robot)
+            ears = Ears()
             time.sleep(SETTLING)
             costs = cost(node, options.seconds / 2)
             bare, ros, action = measure_floor(ears, robot, options.seconds)
@@ -424,7 +406,10 @@ def main() -> None:
         serve_floor(*options.floor)
         return
     load = os.getloadavg()[0]
-    rows, costs = measure(options)
+    try:
+        rows, costs = measure(options)
+    except ValorError as error:
+        sys.exit(str(error))
     console = Console(width=130)
     table = Table(
         title=f"Pathways [ms], load {load:.1f} before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores"

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,17 +19,18 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 import psutil
+from live_system import started
 from mcap.reader import make_reader
 
 import bifrost
 from valor_analysis.process_statistics import Sampler
+from valor_common.errors import ValorError
 from valor_common.instance import Instance
 from valor_common.messages import Proprioceptor
 from valor_common.topics import PROPRIOCEPTOR
 from valorctl import control_mode
 from valorctl.supervision import Supervisor
 
-VALORCTL = Path(sys.executable).with_name("valorctl")
 MODE = "manipulate"
 SETTLING = 5.0  # [s]
 PERIOD = 1.0  # between two looks [s]
@@ -47,47 +46,45 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         bag = options.keep or Path(scratch) / "recorder"
-        os.environ["VALOR_HOME"] = str(Path(scratch) / "home")
-        os.environ["VALOR_INSTANCE"] = "recorder-benchmark"
-        up = ("up", "--profile", options.profile, "--robot", options.robot, "--bag", str(bag.absolute()))
-        subprocess.run([VALORCTL, *up], check=True, stdout=subprocess.DEVNULL)
+        instance = Instance("recorder-benchmark", Path(scratch) / "home")
+        up = ("--profile", options.profile, "--robot", options.robot, "--bag", str(bag.absolute()))
         try:
-            _watch(Instance.from_environment(), options.minutes, bag)
-        finally:
-            subprocess.run([VALORCTL, "down"], check=True, stdout=subprocess.DEVNULL)
+            with started(instance, *up) as node:
+                _watch(instance, node, options.minutes, bag)
+        except ValorError as error:
+            sys.exit(str(error))
         return _tell(sorted(bag.glob("*.mcap")), options)
 
 
-def _watch(instance: Instance, minutes: float, bag: Path) -> None:
+def _watch(instance: Instance, node: bifrost.Node, minutes: float, bag: Path) -> None:
     """Look at the recorder every second, and print a row a minute."""
     change = control_mode.change(instance, MODE)
     if not change.reached:
         sys.exit(change.describe())
     pid = Supervisor(instance).processes()["bag_recorder"].pid
     assert pid is not None
-    with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
-        senses = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
-        time.sleep(SETTLING)
-        sampler = Sampler({"bag_recorder": pid})
-        _print_row("after [min]", "of a core [%]", "most in a second [%]", "memory [MiB]", "bag [MB/s]",
-                   "robot time", "load")  # fmt: skip
-        _print_row(*["--:"] * 7)
-        rows, size, began = 0, _size(bag), time.monotonic()
-        first = _robot_time(senses)
-        while (elapsed := time.monotonic() - began) < 60.0 * minutes:
-            time.sleep(PERIOD)
-            sampler.look()
-            usage = sampler.usage()["bag_recorder"]
-            if int(elapsed / 60.0) > rows or elapsed + PERIOD >= 60.0 * minutes:
-                cpu = usage.cpu[60 * rows :]
-                pace = (_robot_time(senses) - first) / (time.monotonic() - began)
-                rate = (_size(bag) - size) / 1e6 / (time.monotonic() - began)
-                _print_row(f"{elapsed / 60.0:.1f}", f"{cpu.mean():.1f}", f"{cpu.max():.1f}", f"{usage.memory[-1]:.1f}",
-                           f"{rate:.2f}", f"{pace:.3f}", f"{psutil.getloadavg()[0]:.1f}")  # fmt: skip
-                rows = int(elapsed / 60.0)
+    senses = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+    time.sleep(SETTLING)
+    sampler = Sampler({"bag_recorder": pid})
+    _print_row("after [min]", "of a core [%]", "most in a second [%]", "memory [MiB]", "bag [MB/s]",
+               "robot time", "load")  # fmt: skip
+    _print_row(*["--:"] * 7)
+    rows, size, began = 0, _size(bag), time.monotonic()
+    first = _robot_time(senses)
+    while (elapsed := time.monotonic() - began) < 60.0 * minutes:
+        time.sleep(PERIOD)
+        sampler.look()
         usage = sampler.usage()["bag_recorder"]
-        grown = usage.memory[-1] - usage.memory[min(len(usage.memory) - 1, 30)]
-        print(f"\n{usage.cpu.mean():.1f} % of a core; memory grew by {grown:+.1f} MiB after the first half minute")
+        if int(elapsed / 60.0) > rows or elapsed + PERIOD >= 60.0 * minutes:
+            cpu = usage.cpu[60 * rows :]
+            pace = (_robot_time(senses) - first) / (time.monotonic() - began)
+            rate = (_size(bag) - size) / 1e6 / (time.monotonic() - began)
+            _print_row(f"{elapsed / 60.0:.1f}", f"{cpu.mean():.1f}", f"{cpu.max():.1f}", f"{usage.memory[-1]:.1f}",
+                       f"{rate:.2f}", f"{pace:.3f}", f"{psutil.getloadavg()[0]:.1f}")  # fmt: skip
+            rows = int(elapsed / 60.0)
+    usage = sampler.usage()["bag_recorder"]
+    grown = usage.memory[-1] - usage.memory[min(len(usage.memory) - 1, 30)]
+    print(f"\n{usage.cpu.mean():.1f} % of a core; memory grew by {grown:+.1f} MiB after the first half minute")
 
 
 def _tell(files: list[Path], options: argparse.Namespace) -> int:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,15 +21,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from live_system import started, valorctl
 from rich.console import Console
 from rich.table import Table
 
-import bifrost
+from valor_common.errors import ValorError
 from valor_common.instance import Instance
 from valor_common.messages import GroundTruth, MotionState, Statistics
 from valor_common.topics import GROUND_TRUTH, MOTION_STATE, STATISTICS
 
-VALORCTL = Path(sys.executable).with_name("valorctl")
 SETTLING = 5.0  # from the servos' posture to the controller's, after `up` [s]
 
 
@@ -54,55 +53,40 @@ class Run:
 
 def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
     """Start, stand, listen, stop."""
-    name = f"standing-{clock}-{seed}"
-    environment = os.environ | {"VALOR_HOME": str(home), "VALOR_INSTANCE": name}
-
-    def valorctl(*arguments: str) -> str:
-        result = subprocess.run(
-            [str(VALORCTL), *arguments], env=environment, capture_output=True, text=True, check=False
-        )
-        if result.returncode:
-            sys.exit(f"valorctl {' '.join(arguments)}: {result.stderr.strip()}")
-        return result.stdout
-
-    valorctl("up", "--clock", clock, "--seed", str(seed), "--actuators", "hardware")
-    try:
-        instance = Instance(name, home)
-        with bifrost.Node("benchmark", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
-            states = node.subscriber(MOTION_STATE.name, MotionState, queue=2000)
-            truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=2000)
-            statistics = {service: node.subscriber(topic.name, Statistics) for service, topic in STATISTICS.items()}
-            ticks: list[float] = []
-            motors: list[float] = []
-            truth: list[GroundTruth] = []
-            first: dict[str, Statistics] = {}
-            last: dict[str, Statistics] = {}
-            cpu: dict[str, list[float]] = defaultdict(list)
-            memory: dict[str, list[float]] = defaultdict(list)
-            began = time.monotonic() + SETTLING
-            while (now := time.monotonic()) < began + seconds:
-                time.sleep(0.25)
-                if now < began:
-                    for subscriber in (states, truths, *statistics.values()):
-                        subscriber.drain()
-                    continue
-                heard = [received.message for received in states.drain()]
-                ticks.extend(state.tick_time for state in heard)
-                motors.extend(state.motor_time for state in heard)
-                truth.extend(received.message for received in truths.drain())
-                for service, subscriber in statistics.items():
-                    if received := subscriber.latest():
-                        first.setdefault(service, received.message)
-                        last[service] = received.message
-                        cpu[service].append(received.message.cpu_percent)
-                        memory[service].append(received.message.memory_mib)
-        status = json.loads(valorctl("status", "--json"))
+    instance = Instance(f"standing-{clock}-{seed}", home)
+    with started(instance, "--clock", clock, "--seed", str(seed), "--actuators", "hardware") as node:
+        states = node.subscriber(MOTION_STATE.name, MotionState, queue=2000)
+        truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=2000)
+        statistics = {service: node.subscriber(topic.name, Statistics) for service, topic in STATISTICS.items()}
+        ticks: list[float] = []
+        motors: list[float] = []
+        truth: list[GroundTruth] = []
+        first: dict[str, Statistics] = {}
+        last: dict[str, Statistics] = {}
+        cpu: dict[str, list[float]] = defaultdict(list)
+        memory: dict[str, list[float]] = defaultdict(list)
+        began = time.monotonic() + SETTLING
+        while (now := time.monotonic()) < began + seconds:
+            time.sleep(0.25)
+            if now < began:
+                for subscriber in (states, truths, *statistics.values()):
+                    subscriber.drain()
+                continue
+            heard = [received.message for received in states.drain()]
+            ticks.extend(state.tick_time for state in heard)
+            motors.extend(state.motor_time for state in heard)
+            truth.extend(received.message for received in truths.drain())
+            for service, subscriber in statistics.items():
+                if received := subscriber.latest():
+                    first.setdefault(service, received.message)
+                    last[service] = received.message
+                    cpu[service].append(received.message.cpu_percent)
+                    memory[service].append(received.message.memory_mib)
+        status = json.loads(valorctl(instance, "status", "--json"))
         for service in status["services"]:
             if service["name"] not in cpu:  # bifrostd answers for itself
                 cpu[service["name"]].append(service["cpu_percent"])
                 memory[service["name"]].append(service["memory_mib"])
-    finally:
-        valorctl("down")
     pelvis = np.array([sample.pelvis_position_in_world for sample in truth])
     return Run(
         clock=clock,
@@ -133,7 +117,10 @@ def main() -> None:
         for clock in arguments.clocks:
             for seed in arguments.seeds:
                 console.print(f"{clock}, seed {seed}: standing for {arguments.seconds:g} s …")
-                runs.append(measure(Path(home), clock, seed, arguments.seconds))
+                try:
+                    runs.append(measure(Path(home), clock, seed, arguments.seconds))
+                except ValorError as error:
+                    sys.exit(str(error))
 
     table = Table(title=f"Standing for {arguments.seconds:g} s at 500 Hz, {os.cpu_count()} cores")
     for heading in ("clock", "seed", "tick median [ms]", "p99", "max", "to Motor [ms]", "p99",
