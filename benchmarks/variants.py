@@ -1,7 +1,7 @@
 """Whether a robot does on its devices what it does in simulation, and how well: every robot, both variants, seeds.
 
-Each run is a system of its own (``valorctl up``). What is done is the table ``TRIALS`` of ``trials.py``; a figure beyond
-what it may be at most is marked with `!`. Both variants run in real time, simulation in lockstep.
+Each run is a system of its own (``valorctl up``). What is done is the table ``TRIALS`` of ``trials.py``; a figure
+beyond what it may be at most is marked with `!`. Both variants run in real time, simulation in lockstep.
 
     .venv/bin/python benchmarks/variants.py [--robot escher thor] [--variants sim hardware] [--seeds 0 1 2]
         [--trials stand walk …] [--json FILE]
