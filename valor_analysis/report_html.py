@@ -7,20 +7,9 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
+from valor_analysis import report
 from valor_analysis.chapters import Chapter, command_for_all
-from valor_analysis.report import (
-    AGAIN,
-    ALL_AGAIN,
-    INTRODUCTION,
-    SHORT,
-    TITLE,
-    Grid,
-    about,
-    caption,
-    grid_of_measures,
-    grid_of_table,
-    not_shown,
-)
+from valor_analysis.report import Grid
 from valor_analysis.results import Picture
 
 _STYLE = """
@@ -64,13 +53,13 @@ def write(chapters: Sequence[Chapter], file: Path) -> Path:
         for chapter in chapters
     )
     command = command_for_all(chapters)
-    again = f'<p class="quiet">{ALL_AGAIN} <code>{_text(command)}</code>.</p>' if command else ""
+    again = f'<p class="quiet">{report.ALL_AGAIN} <code>{_text(command)}</code>.</p>' if command else ""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(
         "<!doctype html>\n"
         f'<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{TITLE}</title><style>{_STYLE}</style></head><body>"
-        f"<h1>{TITLE}</h1><p>{INTRODUCTION}</p>"
+        f"<title>{report.TITLE}</title><style>{_STYLE}</style></head><body>"
+        f"<h1>{report.TITLE}</h1><p>{report.INTRODUCTION}</p>"
         f"<nav>{links}</nav>{again}{''.join(_section(chapter) for chapter in chapters)}</body></html>\n"
     )
     return file
@@ -81,15 +70,15 @@ def _section(chapter: Chapter) -> str:
     result = chapter.result
     if result is None:
         return f'{head}<p class="quiet">{_text(chapter.reproduces)}</p><p class="failed">{_text(chapter.absence)}</p>'
-    measures = _grid(grid_of_measures(result.measures), "measures") if result.measures else ""
-    quick = f'<p class="warning">{SHORT}</p>' if result.quick else ""
+    measures = _grid(report.grid_of_measures(result.measures), "measures") if result.measures else ""
+    quick = f'<p class="warning">{report.SHORT}</p>' if result.quick else ""
     files = f" Data beside it: {', '.join(_text(file) for file in result.files)}." if result.files else ""
     return (
-        f'{head}<p class="quiet">{_text(about(result))}</p>'
+        f'{head}<p class="quiet">{_text(report.about(result))}</p>'
         f"{quick}<p>{_text(result.text)}</p>{measures}"
-        f"{''.join(f'<h3>{_text(each.title)}</h3>{_grid(grid_of_table(each))}' for each in result.tables)}"
+        f"{''.join(f'<h3>{_text(each.title)}</h3>{_grid(report.grid_of_table(each))}' for each in result.tables)}"
         f"{''.join(_picture(picture, chapter) for picture in result.pictures)}"
-        f'<p class="quiet">{AGAIN} <code>{_text(result.command)}</code>.{files}</p>'
+        f'<p class="quiet">{report.AGAIN} <code>{_text(result.command)}</code>.{files}</p>'
     )
 
 
@@ -105,11 +94,11 @@ def _grid(grid: Grid, kind: str = "rows") -> str:
 
 def _picture(picture: Picture, chapter: Chapter) -> str:
     if fault := chapter.fault(picture):
-        return f'<p class="failed">{_text(not_shown(picture, fault))}</p>'
+        return f'<p class="failed">{_text(report.not_shown(picture, fault))}</p>'
     data = base64.b64encode((chapter.folder / picture.file).read_bytes()).decode()
     return (
         f'<figure><img alt="{_text(picture.caption)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{_text(caption(picture))}</figcaption></figure>"
+        f"<figcaption>{_text(report.caption(picture))}</figcaption></figure>"
     )
 
 

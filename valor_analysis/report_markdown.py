@@ -7,21 +7,11 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from valor_analysis import report
 from valor_analysis.chapters import Chapter, command_for_all
 from valor_analysis.errors import ResultError
-from valor_analysis.report import (
-    ALL_AGAIN,
-    INTRODUCTION,
-    SHORT,
-    TITLE,
-    Grid,
-    about,
-    caption,
-    grid_of_measures,
-    grid_of_table,
-    not_shown,
-)
-from valor_analysis.results import Picture
+from valor_analysis.report import Grid
+from valor_analysis.results import Picture, Table
 
 FILE = "README.md"
 
@@ -33,7 +23,7 @@ def write(chapters: Sequence[Chapter], folder: Path) -> Path:
         ResultError: a file cannot be written.
     """
     command = command_for_all(chapters)
-    parts = [f"# {TITLE}", INTRODUCTION, *([f"{ALL_AGAIN}\n\n    {command}"] if command else [])]
+    parts = [f"# {report.TITLE}", report.INTRODUCTION, *([f"{report.ALL_AGAIN}\n\n    {command}"] if command else [])]
     for chapter in chapters:
         parts += _section(chapter)
     try:
@@ -58,13 +48,17 @@ def _section(chapter: Chapter) -> list[str]:
     return [
         head,
         f"    {result.command}",
-        _text(about(result)),
-        *([f"**{SHORT}**"] if result.quick else []),
+        _text(report.about(result)),
+        *([f"**{report.SHORT}**"] if result.quick else []),
         _text(result.text),
-        *([_grid(grid_of_measures(result.measures))] if result.measures else []),
-        *(part for table in result.tables for part in (f"**{_text(table.title)}**", _grid(grid_of_table(table)))),
+        *([_grid(report.grid_of_measures(result.measures))] if result.measures else []),
+        *(part for table in result.tables for part in _table(table)),
         *(part for picture in result.pictures for part in _picture(picture, chapter)),
     ]
+
+
+def _table(table: Table) -> tuple[str, str]:
+    return f"**{_text(table.title)}**", _grid(report.grid_of_table(table))
 
 
 def _grid(grid: Grid) -> str:
@@ -74,8 +68,8 @@ def _grid(grid: Grid) -> str:
 
 def _picture(picture: Picture, chapter: Chapter) -> tuple[str, ...]:
     if fault := chapter.fault(picture):
-        return (f"**{_text(not_shown(picture, fault))}**",)
-    return f"![{_text(picture.caption)}]({Path(picture.file).name})", f"*{_text(caption(picture))}*"
+        return (f"**{_text(report.not_shown(picture, fault))}**",)
+    return f"![{_text(picture.caption)}]({Path(picture.file).name})", f"*{_text(report.caption(picture))}*"
 
 
 def _text(text: str) -> str:

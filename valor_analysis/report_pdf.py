@@ -10,21 +10,10 @@ from fpdf import FPDF
 from fpdf.enums import TableBordersLayout
 from fpdf.fonts import FontFace
 
+from valor_analysis import report
 from valor_analysis.chapters import Chapter, command_for_all
 from valor_analysis.errors import ResultError
-from valor_analysis.report import (
-    AGAIN,
-    ALL_AGAIN,
-    INTRODUCTION,
-    SHORT,
-    TITLE,
-    Grid,
-    about,
-    caption,
-    grid_of_measures,
-    grid_of_table,
-    not_shown,
-)
+from valor_analysis.report import Grid
 from valor_analysis.results import Picture
 from valor_analysis.style import GREY, INK, LIGHT
 
@@ -46,7 +35,7 @@ class _Pages(FPDF):  # type: ignore[misc]  # untyped
             self.add_font(_FONT, style, _FONTS / f"{name}.ttf")
         self.set_margin(MARGIN)
         self.set_auto_page_break(True, MARGIN)
-        self.set_title(TITLE)
+        self.set_title(report.TITLE)
         self.set_draw_color(LIGHT)
 
     def footer(self) -> None:
@@ -81,12 +70,12 @@ def write(chapters: Sequence[Chapter], file: Path) -> Path:
     """
     pages = _Pages()
     pages.add_page()
-    pages.word(TITLE, 20.0, style="B")
+    pages.word(report.TITLE, 20.0, style="B")
     pages.ln(2.0)
-    pages.word(INTRODUCTION, BODY)
+    pages.word(report.INTRODUCTION, BODY)
     pages.ln(2.0)
     if command := command_for_all(chapters):
-        pages.word(f"{ALL_AGAIN} {command}", SMALL, GREY)
+        pages.word(f"{report.ALL_AGAIN} {command}", SMALL, GREY)
     for i, chapter in enumerate(chapters):
         if i:
             pages.add_page()
@@ -106,22 +95,22 @@ def _section(pages: _Pages, chapter: Chapter) -> None:
         pages.ln(1.5)
         pages.word(chapter.absence, BODY, FAILED)
         return
-    pages.word(about(result), SMALL, GREY)
+    pages.word(report.about(result), SMALL, GREY)
     pages.ln(1.5)
     if result.quick:
-        pages.word(SHORT, BODY, style="B")
+        pages.word(report.SHORT, BODY, style="B")
         pages.ln(1.5)
     pages.word(result.text, BODY)
     pages.ln(2.0)
     if result.measures:
-        pages.cells(grid_of_measures(result.measures), _MEASURE_WIDTHS)
+        pages.cells(report.grid_of_measures(result.measures), _MEASURE_WIDTHS)
     for table in result.tables:
         pages.word(table.title, BODY, style="B")
         pages.ln(1.0)
-        _table(pages, grid_of_table(table))
+        _table(pages, report.grid_of_table(table))
     for picture in result.pictures:
         _picture(pages, picture, chapter)
-    pages.word(f"{AGAIN} {result.command}", SMALL, GREY)
+    pages.word(f"{report.AGAIN} {result.command}", SMALL, GREY)
 
 
 def _table(pages: _Pages, grid: Grid) -> None:
@@ -131,13 +120,13 @@ def _table(pages: _Pages, grid: Grid) -> None:
 
 def _picture(pages: _Pages, picture: Picture, chapter: Chapter) -> None:
     if fault := chapter.fault(picture):
-        pages.word(not_shown(picture, fault), BODY, FAILED)
+        pages.word(report.not_shown(picture, fault), BODY, FAILED)
         pages.ln(3.0)
         return
     try:
         with pages.unbreakable() as block:
             block.image(str(chapter.folder / picture.file), w=block.epw)
-            block.word(caption(picture), SMALL, GREY)
+            block.word(report.caption(picture), SMALL, GREY)
             block.ln(3.0)
     except OSError as error:
         reason = error.strerror or "not a picture"
