@@ -4,66 +4,27 @@ from __future__ import annotations
 
 import re
 import shutil
-import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
-from valor_common.messages import (
-    BehaviorReply,
-    BehaviorRequest,
-    DeviceStatus,
-    FaultReply,
-    FaultRequest,
-    GroundTruth,
-    MotionState,
-    Proprioceptor,
-)
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
+from valor_common.messages import FaultReply, FaultRequest, GroundTruth, Proprioceptor
 from valor_common.service import EXIT_CONFIGURATION
-from valor_common.topics import BEHAVIOR, DEVICES, FAULT, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor_common.topics import FAULT, GROUND_TRUTH, PROPRIOCEPTOR
 
-PATIENCE = 60.0  # [s]
-PROCESSES = ("device_emulators", "hdt_driver", "hdt_bridge", "comms_manager", "motion_manager")
 UPRIGHT = 0.7  # of the pelvis: lower, it has fallen [m]
 
 
-class Bench:
-    """A robot on its devices, and who lets them fail."""
+class Bench(RobotOnDevices):
+    """Who lets its devices fail."""
 
     def __init__(self, running: RunningInstance) -> None:
-        node = running.node()
-        self._devices = node.subscriber(DEVICES.name, DeviceStatus)
-        self._states = node.subscriber(MOTION_STATE.name, MotionState)
-        self._truth = node.subscriber(GROUND_TRUTH.name, GroundTruth)
-        self._behavior = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._fault = node.client(FAULT.name, FaultRequest, FaultReply)
-        self._status: DeviceStatus | None = None
-        self._state: MotionState | None = None
-        self.running = running
-
-    @property
-    def status(self) -> DeviceStatus:
-        """The newest word on the devices."""
-        if received := self._devices.latest() or (self._status is None and self._devices.receive(PATIENCE)):
-            self._status = received.message
-        assert self._status is not None
-        return self._status
-
-    @property
-    def behavior(self) -> str:
-        """Of the Motion System."""
-        return self.state.behavior
-
-    @property
-    def state(self) -> MotionState:
-        """Its newest."""
-        if received := self._states.latest() or (self._state is None and self._states.receive(PATIENCE)):
-            self._state = received.message
-        assert self._state is not None
-        return self._state
+        super().__init__(running)
+        self._truth = self.node.subscriber(GROUND_TRUTH.name, GroundTruth)
+        self._fault = self.node.client(FAULT.name, FaultRequest, FaultReply)
 
     def unit(self, name: str) -> tuple[str, str, float]:
         """State, detail and errors of a unit."""
@@ -77,23 +38,6 @@ class Bench:
         reply = self._fault.call(FaultRequest(device, name or device, fault, duration), timeout=PATIENCE)
         assert reply.accepted, reply.reason
 
-    def stand(self) -> None:
-        """From wherever it stands now: by way of Stand Prep, where it is held."""
-
-        def stands() -> bool:
-            behavior = self.behavior
-            if behavior != "stand":
-                wanted = "stand_prep" if behavior in ("freeze", "idle") else "stand"
-                reply = self._behavior.call(BehaviorRequest(wanted), timeout=PATIENCE)
-                refusals[wanted] = reply.reason
-            return behavior == "stand"
-
-        refusals: dict[str, str] = {}
-        try:
-            wait_until(stands, PATIENCE, "it stands", period=0.1)
-        except AssertionError:
-            raise AssertionError(f"it does not stand, but is in {self.behavior}: {refusals}; {self.status}") from None
-
     def height(self) -> float:
         """Of the pelvis, in truth [m]."""
         received = self._truth.receive(PATIENCE)
@@ -103,28 +47,15 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def bench(ros_domain: int) -> Iterator[Bench]:
-    home = Path(tempfile.mkdtemp(prefix="valor-"))
-    try:
-        with fresh_instance(home, ros_domain) as running:
-            running.configure(variant="hardware", control_rate=250.0, epoch=time.monotonic_ns())
-            for name in PROCESSES[:3]:
-                running.start(name)
-            running.wait_ready("device_emulators", PATIENCE)
-            running.wait_ready("hdt_bridge", PATIENCE)
-            for name in PROCESSES[3:]:
-                running.start(name)
-            running.wait_ready("comms_manager", PATIENCE)
-            running.wait_ready("motion_manager", PATIENCE)
-            yield Bench(running)
-    finally:
-        shutil.rmtree(home, ignore_errors=True)
+    with on_devices(ros_domain, "hdt_driver", "hdt_bridge") as running:
+        yield Bench(running)
 
 
 @pytest.fixture
 def standing(bench: Bench) -> Iterator[Bench]:
     """In Stand, with every device well; it still stands afterwards."""
     wait_until(lambda: all(state == "ok" for state in bench.status.states), PATIENCE, "every device is well")
-    bench.stand()
+    bench.go("stand")
     yield bench
     for device in ("legs", "force_torque", "imu"):
         bench.fail(device, "")
@@ -214,7 +145,7 @@ def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing
     assert standing.behavior == "freeze", standing.state.reason
     assert standing.state.reason.startswith("no Proprioceptor for") and "it stands" in standing.state.reason
     assert standing.height() > UPRIGHT
-    standing.stand()
+    standing.go("stand")
 
 
 def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:

@@ -20,6 +20,8 @@ from tests.conftest import wait_until
 from valor_common.instance import Instance, Settings
 from valor_common.robot import RobotDescription
 
+UNSOUND = (EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE)
+"""Faults in which nothing of a unit may be believed."""
 _DOMAIN = 170 + os.getpid() % 60
 """Of the CAN buses: benches of several processes do not meet, nor instances that have their domains from below 102."""
 

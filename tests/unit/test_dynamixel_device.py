@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from comms_manager.hardware.device import Device, DeviceError, Fault, JointCommands, JointMeasurement
 from device_emulators.emulator import EmulatedFault
 from tests.conftest import ROBOTS, wait_until
-from tests.unit.bench import Bench, ailing, sound
+from tests.unit.bench import UNSOUND, Bench, ailing, sound
 from valor_common.errors import ConfigurationError
 from valor_common.messages import JointMode
 from valor_common.robot import RobotDescription
@@ -121,9 +121,7 @@ def test_a_servo_of_no_known_model_is_refused_when_the_table_is_read() -> None:
         checked(type(ROBOT.tables), content)
 
 
-@pytest.mark.parametrize(
-    "fault", [EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE]
-)
+@pytest.mark.parametrize("fault", UNSOUND)
 def test_nothing_of_a_sick_servo_is_believed_and_the_others_go_on(bench: Bench, fault: EmulatedFault) -> None:
     with bench.running() as driver:
         sound(driver)
