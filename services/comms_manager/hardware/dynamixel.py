@@ -8,82 +8,32 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import time
 from threading import Event
 
 import numpy as np
 import serial
 
-from comms_manager.hardware.condition import Condition, Limits, require_identity
+from comms_manager.hardware.condition import require_identity
 from comms_manager.hardware.device import (
     Ailment,
     Device,
     DeviceContext,
     DeviceError,
     Fault,
-    IntVector,
-    JointCommands,
     JointMeasurement,
-    UnitRecord,
 )
-from comms_manager.hardware.device_clock import DeviceClock
-from comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, StatusReader, number_of
-from comms_manager.hardware.encoder_watch import EncoderWatch
+from comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, StatusReader
+from comms_manager.hardware.dynamixel_servo import Servo
 from valor_common.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
 from valor_common.devices.ports import serial_port
-from valor_common.devices.table import Dynamixel, DynamixelServo
+from valor_common.devices.table import Dynamixel
 from valor_common.messages import JointMode
-from valor_common.robot import RobotDescription
 
-LATEST = 0.02  # an answer that was held up longer is not used [s]
-TICKS = 32768  # of a servo's clock, in milliseconds, until it begins anew
 ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
 LONGEST_READ = 0.02  # of all servos, whoever is missing; the time-out is 7 ms for each kind [s]
 SEEK_PERIOD = 0.5  # between attempts to find a servo or a port that is gone [s]
-COOL = 10  # below its limit, at which a servo that was too hot is used again [K]
-WARM = 10  # below its limit, from which on a servo is warm [K]
-LOW_VOLTAGE = 0.875  # of the nominal one
 _log = logging.getLogger("comms_manager")
-
-
-class _Servo:
-    """A servo as its device knows it."""
-
-    def __init__(self, table: DynamixelServo, device: str, row: int, robot: RobotDescription) -> None:
-        self.table = table
-        self.model = MODELS[table.model]
-        self.row = row
-        self.name = f"{device}/{table.joint}"
-        self.record = UnitRecord(table.joint)
-        self.clock = DeviceClock()
-        self.tick: int | None = None
-        self.ticks = 0  # since the first answer [ms]
-        self.velocity_limit = float(robot.velocity_limit[robot.index[table.joint]])
-        self.goal: float | None = None  # sent last [rad]
-        self.torque = False  # it is switched on
-        self.alert = False  # it says that something is wrong with it
-        self.missed = 0  # cycles in a row
-        self.present = True  # it is read in every cycle
-        self.encoder = EncoderWatch(self.velocity_limit)
-        model = self.model
-        hot, low = float(model.temperature_limit), LOW_VOLTAGE * model.voltage
-        self.condition = Condition(self.record, Limits(hot - WARM, hot, low, more=0.02 * model.voltage))
-        self.ailments: tuple[Ailment, ...] = ()
-
-    @property
-    def registers(self) -> ControlTable:
-        """Where its numbers stand."""
-        return self.model.table
-
-    def steps(self, angle: float) -> int:
-        """The servo's position for a joint's [rad]."""
-        return self.table.zero + self.table.direction * round(angle / self.model.position_unit)
-
-    def angle(self, steps: int) -> float:
-        """The joint's position for a servo's [rad]; that of one that spins stays within a turn."""
-        angle = self.table.direction * (steps - self.table.zero) * self.model.position_unit
-        return math.remainder(angle, 2.0 * math.pi) if self.table.spin is not None else angle
 
 
 class DynamixelServos(Device):
@@ -95,7 +45,7 @@ class DynamixelServos(Device):
         assert isinstance(table, Dynamixel)
         self._path = serial_port(context.instance, context.settings, name)
         self._baud_rate = table.baud_rate
-        self._servos = [_Servo(each, name, row, robot) for row, each in enumerate(table.servos)]
+        self._servos = [Servo(each, name, row, robot) for row, each in enumerate(table.servos)]
         self._by_id = {servo.table.id: servo for servo in self._servos}
         self.records = tuple(servo.record for servo in self._servos)
         self.rate = table.rate
@@ -105,9 +55,6 @@ class DynamixelServos(Device):
         self._readers: dict[ControlTable, StatusReader] = {}
         self._enabled = False
         self._gone: tuple[Ailment, ...] = ()
-        m = len(self._servos)
-        self._stamp: IntVector = np.zeros(m, dtype=np.int64)
-        self._position, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
 
     # --- start and end ------------------------------------------------------------------------------------------------
 
@@ -144,7 +91,7 @@ class DynamixelServos(Device):
         if self._port is not None:
             with contextlib.suppress(DynamixelError, serial.SerialException, OSError):  # who is gone cannot be stopped
                 for servo in self._servos:
-                    if servo.table.spin is not None and servo.present:
+                    if servo.spins and servo.present:
                         self._port.write(servo.table.id, servo.registers.goal_velocity, 0)
             self._port.close()
             self._port = None
@@ -169,7 +116,7 @@ class DynamixelServos(Device):
             registers: self._port.reader(registers.feedback, servos) for registers, servos in by_table.items()
         }
 
-    def _identify(self, servo: _Servo) -> None:
+    def _identify(self, servo: Servo) -> None:
         assert self._port is not None
         number, firmware = self._port.ping(servo.table.id)
         if number != servo.model.number:
@@ -177,41 +124,40 @@ class DynamixelServos(Device):
             require_identity(servo.name, {"model": known}, {"model": servo.table.model})
         require_identity(servo.name, {"firmware": firmware}, {"firmware": servo.table.firmware})
 
-    def _prepare(self, servo: _Servo) -> None:
+    def _prepare(self, servo: Servo) -> None:
         """See that nothing is wrong with a servo, and that it is in the mode that it is used in."""
         assert self._port is not None
         number, registers = servo.table.id, servo.registers
         if wrong := HardwareError(self._port.read(number, registers.hardware_error)):
             raise DeviceError(f"{servo.name}: {_named(wrong)}; expected no hardware error")
-        mode = OperatingMode.POSITION if servo.table.spin is None else OperatingMode.VELOCITY
+        mode = OperatingMode.VELOCITY if servo.spins else OperatingMode.POSITION
         servo.torque = bool(self._port.read(number, registers.torque_enable))
         if self._port.read(number, registers.operating_mode) != mode:
             self._port.write(number, registers.torque_enable, 0)
             self._port.write(number, registers.operating_mode, mode)
             servo.torque = False
 
-    def _check_place(self, servo: _Servo) -> None:
+    def _check_place(self, servo: Servo) -> None:
         """A servo that has not been switched on since it got power is in the calibration pose."""
         assert self._port is not None
         calibration, joint = self.context.robot.tables.calibration, servo.table.joint
         position = servo.angle(self._port.read(servo.table.id, servo.registers.present_position))
         pose = self.context.robot.tables.nominal_posture | calibration.pose
         expected = pose.get(joint, 0.0)
-        if servo.table.spin is None and not servo.torque and abs(position - expected) > calibration.tolerance:
+        if not servo.spins and not servo.torque and abs(position - expected) > calibration.tolerance:
             raise DeviceError(
                 f"{servo.name}: at {position:.3f} rad; expected {expected:.3f} ± {calibration.tolerance:g} in the "
                 f"calibration pose (robot.yaml: zero {servo.table.zero})"
             )
 
-    def _switch_on(self, servo: _Servo) -> None:
+    def _switch_on(self, servo: Servo) -> None:
         assert self._port is not None
         number, registers = servo.table.id, servo.registers
         self._port.write(number, registers.torque_enable, 1)
         if servo.table.spin is not None:
             speed = round(servo.table.direction * servo.table.spin / servo.model.velocity_unit)
             self._port.write(number, registers.goal_velocity, speed)
-        servo.goal = None
-        servo.torque = True
+        servo.switched_on()
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 
@@ -243,7 +189,7 @@ class DynamixelServos(Device):
     def _read(self) -> None:
         """Ask all servos for their states and take in what they answer."""
         began = time.monotonic()
-        for registers, reader in self._readers.items():
+        for reader in self._readers.values():
             asked = time.monotonic()
             answers = reader.read()
             came = time.monotonic_ns()
@@ -252,15 +198,19 @@ class DynamixelServos(Device):
                 answer = answers.get(number)
                 if answer is None:
                     self._miss(servo, reader)
-                elif self._take(servo, answer, registers, came):
+                elif servo.take(answer, came, self._is_wanted(servo)):
                     servo.missed = 0
                     servo.record.received(came)
                     servo.record.answered(1e-9 * came - asked)
                 else:
                     servo.record.errors += 1
             self._blame(reader)
+        servos = self._servos
         self.measured = JointMeasurement(
-            self._stamp.copy(), self._position.copy(), self._velocity.copy(), self._effort.copy()
+            np.array([servo.stamp for servo in servos]),
+            np.array([servo.position for servo in servos]),
+            np.array([servo.velocity for servo in servos]),
+            np.array([servo.effort for servo in servos]),
         )
         if time.monotonic() - began < LONGEST_READ:  # otherwise this thread, or the line's kernel worker, was held up
             self.looks += 1
@@ -273,61 +223,12 @@ class DynamixelServos(Device):
                 servo.record.errors += 1
             reader.corrupt = 0
 
-    def _miss(self, servo: _Servo, reader: StatusReader) -> None:
+    def _miss(self, servo: Servo, reader: StatusReader) -> None:
         """Nobody waits for ever: the others' states would be late."""
         servo.missed += 1
         if servo.missed >= ABSENT_AFTER:
             servo.present = False
             reader.removeParam(servo.table.id)
-
-    def _take(self, servo: _Servo, answer: Answer, registers: ControlTable, came: int) -> bool:
-        """Take in an answer; returns whether it can be believed."""
-        block, start = answer.data, registers.feedback.address
-
-        def number(item: Item) -> int:
-            return number_of(block, item, start)
-
-        if not self._is_timely(servo, number(registers.realtime_tick), 1e-9 * came):
-            return False
-        model, direction, row = servo.model, servo.table.direction, servo.row
-        position = servo.angle(number(registers.present_position))
-        velocity = direction * number(registers.present_velocity) * model.velocity_unit
-        if servo.table.spin is None and not servo.encoder.believes(position, velocity, 1e-3 * servo.ticks):
-            return False
-        if servo.encoder.jumped:
-            self._velocity[row] = 0.0
-        else:
-            self._position[row], self._velocity[row] = position, velocity
-        current = number(registers.present_current) * model.current_unit
-        self._effort[row] = direction * current * model.torque_constant
-        self._stamp[row] = came
-        temperature, voltage = float(number(registers.present_temperature)), 0.1 * number(registers.present_voltage)
-        self._judge(servo, answer, servo.condition.judge(temperature, voltage))
-        return True
-
-    @staticmethod
-    def _is_timely(servo: _Servo, tick: int, came: float) -> bool:
-        """Whether an answer is newer than the last, and not held up; servos number nothing, but tell their time."""
-        if servo.tick is not None:
-            step = (tick - servo.tick) % TICKS
-            if step > TICKS // 2:
-                return False
-            servo.ticks += step
-        servo.tick = tick
-        late = servo.clock.lateness(1e-3 * servo.ticks, came)
-        return late is not None and late < LATEST
-
-    def _judge(self, servo: _Servo, answer: Answer, condition: tuple[Ailment, ...]) -> None:
-        """Write down what ails a servo, besides its condition."""
-        unit, ailments = servo.record.unit, list(condition)
-        if servo.encoder.jumped:
-            ailments.append(Ailment(unit, Fault.ENCODER, "its encoder jumped; to be calibrated, then restarted"))
-        if answer.alert and not ailments:
-            ailments.append(Ailment(unit, Fault.FAULTY, "it reports a hardware error"))
-        servo.alert = answer.alert
-        if self._enabled and not servo.torque and self._is_wanted(servo):
-            ailments.append(Ailment(unit, Fault.DISABLED, "its motor is off"))
-        servo.ailments = tuple(ailments)
 
     def _write(self) -> None:
         """Send the newest set-points to all servos that obey."""
@@ -337,32 +238,20 @@ class DynamixelServos(Device):
             return
         goals: dict[Item, dict[int, int]] = {}
         for servo in self._servos:
-            if not servo.present or not servo.torque or servo.table.spin is not None:
+            if not servo.present or not servo.torque or servo.spins:
                 continue
             if command.mode[servo.row] == JointMode.OFF:
                 self._switch_off(servo)
                 continue
-            steps = servo.steps(self._next_goal(servo, command))
-            lowest, highest = servo.model.goals
-            goals.setdefault(servo.registers.goal_position, {})[servo.table.id] = min(max(steps, lowest), highest)
+            steps = servo.next_goal(float(command.position[servo.row]), self._period)
+            goals.setdefault(servo.registers.goal_position, {})[servo.table.id] = steps
         for item, values in goals.items():
             self._port.write_all(item, values)
 
-    def _next_goal(self, servo: _Servo, command: JointCommands) -> float:
-        """The set-point, approached at the joint's velocity limit; where its encoder is, once that has jumped [rad]."""
-        if servo.encoder.jumped:
-            return servo.encoder.position
-        wanted = float(command.position[servo.row])
-        last = float(self._position[servo.row]) if servo.goal is None else servo.goal
-        reach = servo.velocity_limit * self._period
-        servo.goal = min(max(wanted, last - reach), last + reach)
-        return servo.goal
-
-    def _switch_off(self, servo: _Servo) -> None:
+    def _switch_off(self, servo: Servo) -> None:
         assert self._port is not None
         self._port.write(servo.table.id, servo.registers.torque_enable, 0)
-        servo.torque = False
-        servo.ailments = ()
+        servo.switched_off()
 
     def _tend(self) -> None:
         """Look for servos that are gone; switch on again what went off by itself, once it is well and wanted."""
@@ -372,44 +261,37 @@ class DynamixelServos(Device):
                     self._welcome(servo)
                 if servo.alert:  # what is wrong may have switched it off
                     servo.torque = self._is_on(servo)
-                if self._enabled and not servo.torque and not servo.encoder.jumped and self._is_wanted(servo):
+                if self._is_wanted(servo) and not servo.torque and not servo.jumped:
                     self._revive(servo)
             except (DynamixelError, DeviceError) as error:
                 _log.debug("%s: %s", servo.name, error)  # it is missed by its states
 
-    def _welcome(self, servo: _Servo) -> None:
+    def _welcome(self, servo: Servo) -> None:
         """Take a servo back that had been gone, if it is the same one."""
         assert self._port is not None
         self._identify(servo)
         servo.torque = self._is_on(servo)
         servo.present, servo.missed = True, 0
-        self._forget(servo)
+        servo.forget()
         self._group()
 
-    def _is_on(self, servo: _Servo) -> bool:
+    def _is_on(self, servo: Servo) -> bool:
         assert self._port is not None
         return bool(self._port.read(servo.table.id, servo.registers.torque_enable))
 
-    @staticmethod
-    def _forget(servo: _Servo) -> None:
-        """Its clock may have begun anew, and its joint may have been moved."""
-        servo.tick = None
-        servo.clock.reset()
-        servo.encoder.forget()
-
-    def _is_wanted(self, servo: _Servo) -> bool:
+    def _is_wanted(self, servo: Servo) -> bool:
+        """Whether its motor shall be on."""
         command = self.command
-        return command is not None and command.mode[servo.row] != JointMode.OFF
+        return self._enabled and command is not None and command.mode[servo.row] != JointMode.OFF
 
-    def _revive(self, servo: _Servo) -> None:
+    def _revive(self, servo: Servo) -> None:
         """Switch a servo on; one that had been too hot is started anew when it has cooled down, and has its voltage."""
         assert self._port is not None
-        record, model = servo.record, servo.model
-        if record.temperature > model.temperature_limit - COOL or record.voltage < LOW_VOLTAGE * model.voltage:
+        if not servo.is_fit:
             return
         if self._port.read(servo.table.id, servo.registers.hardware_error):
             self._port.reboot(servo.table.id)
-            self._forget(servo)
+            servo.forget()
         self._prepare(servo)
         self._switch_on(servo)
 
