@@ -100,15 +100,10 @@ class RosClient:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=int(environment["ROS_DOMAIN_ID"]))
         self.node = rclpy.create_node("test_client", context=self._context)
-        self.reports: list[tuple[float, ControlModeStatus]] = []  # (monotonic arrival [s], report)
+        self.reports: list[ControlModeStatus] = []
         self.joint_state: JointState | None = None
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(
-            ControlModeStatus,
-            "/flor/controller/mode",
-            lambda report: self.reports.append((time.monotonic(), report)),
-            latched,
-        )
+        self.node.create_subscription(ControlModeStatus, "/flor/controller/mode", self.reports.append, latched)
         if joint_states:
             self.node.create_subscription(JointState, "/joint_states", self._keep_joint_state, 10)
         self._mode = ActionClient(

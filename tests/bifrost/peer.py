@@ -50,6 +50,7 @@ def serve(node: bifrost.Node, topic: str) -> None:
         if question.action == "raise":
             raise ValueError("no such valve")
         if question.action == "sleep":
+            say("asleep")
             time.sleep(question.argument)
         return Answer(f"{question.action} for {origin}", handled)
 

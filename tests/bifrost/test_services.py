@@ -152,7 +152,7 @@ def test_a_killed_server_is_replaced(net: BifrostNetwork) -> None:
 
     thread = threading.Thread(target=call)
     thread.start()
-    time.sleep(0.1)
+    assert peer.line() == "asleep"
     peer.kill()
     thread.join()
     assert isinstance(errors[0], bifrost.TimeoutError) and isinstance(errors[0], TimeoutError)

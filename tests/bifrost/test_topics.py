@@ -137,9 +137,7 @@ def test_a_killed_publisher_is_known_to_be_gone_while_its_last_words_may_still_c
     assert subscriber.receive(timeout=10.0) is not None
     assert len(subscriber.publishers) == 1
     peer.kill()
-    killed = time.monotonic()
-    until(lambda: not subscriber.publishers, "the killed publisher is gone")
-    assert time.monotonic() - killed < 2.0  # well before its connections are given up
+    until(lambda: not subscriber.publishers, "the killed publisher is gone", 5.0)  # before its connection is given up
 
 
 def test_another_type_is_refused_and_both_are_named(net: BifrostNetwork) -> None:
@@ -319,7 +317,7 @@ def test_a_loop_that_drains_only_what_its_poller_tells_misses_nothing(net: Bifro
             taken.extend(received.message.count for received in subscriber.drain())
         return len(taken) >= many
 
-    until(look, "all")
+    until(look, "all", 60.0)
     publishing.join()
     poller.close()
     assert taken == list(range(many))

@@ -175,9 +175,7 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
     wait_until(
         lambda: has(path, "/bifrost/" + JOINT_SETPOINTS.name, 500 + extra_setpoints), 20.0, "so are Bifrost's", 0.3
     )
-    stopped = time.monotonic()
     assert instance.stop("bag_recorder") == 0
-    assert time.monotonic() - stopped < 5.0
     action.destroy()
 
     found: dict[str, list[tuple[int, object]]] = {}

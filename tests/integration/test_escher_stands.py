@@ -11,11 +11,14 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import bifrost
+from tests.conftest import wait_until
+from tests.integration.vrc_system import stamp
 from tests.system import RosClient, System, leftovers, running, shared_memory
 from valor_common.instance import Instance
 from valor_common.messages import GroundTruth, MotionState, Proprioceptor
@@ -166,21 +169,17 @@ def test_a_large_push_does_and_ros_hears_of_it(case: Case) -> None:
     subscriber = case.node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
     case.ros.reports.clear()
     case.system.valorctl("push", "80", "0", "0")
-    fell_at = None
-    deadline = time.monotonic() + 30.0
-    while fell_at is None and time.monotonic() < deadline:
-        received = subscriber.receive(timeout=1.0)
-        if received and received.message.behavior == "fall":
-            fell_at = received.stamp * 1e-9  # when the Motion Manager said so, monotonic
-    assert fell_at is not None, "80 N·s did not topple it"
-    reports: list[tuple[float, object]] = []
-    while not reports and time.monotonic() < deadline:
-        reports = [(at, report) for at, report in case.ros.reports if report.status & EXTERNAL_CHANGE]
-        time.sleep(0.01)
-    assert reports, "no external change reported"
-    at, report = reports[0]
+
+    def falls() -> MotionState | None:
+        return next((r.message for r in subscriber.drain() if r.message.behavior == "fall"), None)
+
+    def reported() -> Any:
+        return next((report for report in case.ros.reports if report.status & EXTERNAL_CHANGE), None)
+
+    fell = wait_until(falls, 30.0, "80 N·s topple it")
+    report = wait_until(reported, 30.0, "the change is reported as external")
     assert report.current_control_mode == "none"
-    assert at - fell_at < 0.2
+    assert stamp(report) - fell.time < 200_000_000  # robot time, which a busy machine slows down
     assert case.system.status()["behavior"] == "fall"
 
 

@@ -388,7 +388,7 @@ def test_a_process_that_stands_still_for_a_moment_is_no_fall(instance: RunningIn
     process = instance.process(name)
     process.send_signal(signal.SIGSTOP)
     try:
-        time.sleep(0.3)
+        time.sleep(0.3)  # the stall is the subject of this test
     finally:
         process.send_signal(signal.SIGCONT)
     system.pass_time(1.0)

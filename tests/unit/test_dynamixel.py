@@ -14,10 +14,11 @@ from dynamixel_sdk import Protocol2PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, number_of
+from comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, number_of
 from device_emulators.dynamixel_bus import DynamixelBus, Servo, crc16, encode, stuffed, unstuffed
 from device_emulators.emulator import EmulatedFault, FaultSwitches
 from device_emulators.serial_port import FaultyLine, SerialPort
+from tests.conftest import wait_until
 from valor_common.devices.dynamixel import MODELS, P_SERIES, X_SERIES, ControlTable, HardwareError, Item, OperatingMode
 
 TABLES = (X_SERIES, P_SERIES)
@@ -180,10 +181,14 @@ def test_a_sick_servo_does_not_silence_the_others(bus: Bus, port: DynamixelPort,
 def test_answers_that_come_twice_are_taken_once(bus: Bus, port: DynamixelPort) -> None:
     bus.inject("duplicate", 1, 2, 3)
     reader = port.reader(X_SERIES.feedback, (1, 2, 3))
+
+    def all_answer() -> dict[int, Answer]:
+        answers = reader.read()
+        return answers if sorted(answers) == [1, 2, 3] else {}
+
     for turn in range(20):
         bus.servos[0].feel(turn, 0.0, 0.0, 0.0)
-        answers = reader.read()
-        assert sorted(answers) == [1, 2, 3]
+        answers = wait_until(all_answer, 10, "an answer of each")
         assert number_of(answers[1].data, X_SERIES.present_position, X_SERIES.feedback.address) == turn
 
 
