@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 import bifrost
+from valor_analysis.track_builder import TrackBuilder
 from valor_analysis.walk import Track
 from valor_common.errors import ValorError
 from valor_common.messages import ClockStatus, GroundTruth, MotionState, Proprioceptor, Statistics
@@ -19,8 +20,6 @@ from valor_common.robot import RobotDescription
 from valor_common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR
 
 SILENCE = 10.0  # of the Motion Manager, after which a run is given up [s]
-_PIECE = 2000  # states that are kept as messages
-_LATE = 200  # of them may still wait for the measurement that they answer
 
 
 class Observer:
@@ -38,10 +37,8 @@ class Observer:
         self._truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=20000)
         self._clock = node.subscriber(CLOCK.name, ClockStatus, queue=1000)
         self._statistics = node.subscriber(MOTION_MANAGER_STATISTICS.name, Statistics, queue=1000)
-        self._robot, self._tell = robot, tell
-        self._waiting: list[MotionState] = []
-        self._answered: list[Proprioceptor] = []
-        self._pieces: list[Track] = []
+        self._tell = tell
+        self._track = TrackBuilder(robot)
         self._truth: list[GroundTruth] = []  # first and last
         self._clocks: list[ClockStatus] = []
         self._fares: list[Statistics] = []
@@ -57,7 +54,7 @@ class Observer:
             ValorError: nothing comes any more.
         """
         came = [received.message for received in self._states.drain()]
-        self._answered += [received.message for received in self._measured.drain()]
+        self._track.add(came, [received.message for received in self._measured.drain()])
         self._clocks += [received.message for received in self._clock.drain()]
         self._fares += [received.message for received in self._statistics.drain()]
         for received in self._truths.drain():
@@ -65,22 +62,10 @@ class Observer:
         if came:
             self._heard = time.monotonic()
             self.state = came[-1]
-            self._waiting += came
-            if len(self._waiting) > _PIECE:
-                self._keep(_LATE)
             place = self._truth[-1].pelvis_position_in_world if self._truth else self.state.pelvis_position_in_odom
             self._tell(f"{1e-9 * self.state.time:.0f} s, {place[0]:.1f}, {place[1]:.1f} m, {self.state.behavior}")
         elif time.monotonic() - self._heard > SILENCE:
             raise ValorError(f"{MOTION_STATE.name} is silent for {SILENCE:g} s")
-
-    def _keep(self, late: int) -> None:
-        """Keep all but the last states as numbers: a long run has more messages than memory."""
-        split = len(self._waiting) - late
-        if split > 0:
-            self._pieces.append(Track.heard(self._waiting[:split], self._answered, self._robot))
-            last = self._waiting[split - 1].proprioceptor_sequence
-            self._answered = [each for each in self._answered if each.sequence > last]
-            del self._waiting[:split]
 
     def wait(self, over: Callable[[MotionState], bool], longest: float) -> bool:
         """Listen until a state says so; whether one did within ``longest`` of robot time [s]."""
@@ -93,9 +78,15 @@ class Observer:
         return True
 
     def track(self) -> Track:
-        """All that was heard."""
-        self._keep(0)
-        return Track.joined(self._pieces)
+        """All that was heard.
+
+        Raises:
+            ValorError: no state came with the measurement that it answers.
+        """
+        track = self._track.track()
+        if track is None:
+            raise ValorError(f"no {MOTION_STATE.name} with its {PROPRIOCEPTOR.name} was heard")
+        return track
 
     @property
     def lost(self) -> int:

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from valor_analysis.bag import Array
 from valor_analysis.errors import BagError
 from valor_analysis.recording import Recording, nearest, recorded
-from valor_common.messages import MotionState, Proprioceptor
+from valor_common.messages import ClockStatus, MotionState, Proprioceptor
 from valor_common.model import full_model
 from valor_common.robot import RobotDescription
-from valor_common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR
+from valor_common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 
 MOVING = 0.05  # slower than this for good, the walk is over [m/s]
 WALKING = ("walk", "walk_manipulate", "step", "step_manipulate")
@@ -178,25 +178,33 @@ class Figures:
 class Timeliness:
     """How well the system kept time in a walk."""
 
-    overruns: int  # control periods in which the Motion Manager's cycle took too long
+    deadlines_missed: int  # ticks of the Motion Manager that took longer than the control period
     waits_timed_out: int  # of the Comms Manager for a Motor
     slip: float  # robot time lost against the wall's [s]
 
     @classmethod
-    def of(cls, recording: Recording, first: float, last: float) -> Self:
-        """From a bag, between two robot times [s]; as far as it has the topics."""
-        overruns = waits = 0
-        slip = 0.0
+    def of(cls, recording: Recording, walk: Track) -> Self:
+        """From a bag, while ``walk`` lasted; what the clock's topic would tell is nothing if the bag lacks it."""
+        waits, slip = 0, 0.0
         if recording.has(CLOCK):
             clock = recording.series(CLOCK)
-            ends = nearest(clock.time, np.array([first, last]))
+            ends = nearest(clock.time, walk.time[[0, -1]])
             waits = int(np.diff(clock["waits_timed_out"][ends])[0])
             slip = float(np.diff(clock["slip"][ends])[0])
-            if recording.has(MOTION_MANAGER_STATISTICS):
-                statistics = recording.series(MOTION_MANAGER_STATISTICS)
-                rows = nearest(statistics.received, clock.received[ends])
-                overruns = int(np.diff(statistics["overruns"][rows])[0])
-        return cls(overruns, waits, slip)
+        return cls(_missed(walk, recording.robot), waits, slip)
+
+    @classmethod
+    def heard(cls, clocks: Sequence[ClockStatus], walk: Track, robot: RobotDescription) -> Self:
+        """From what an observer heard of the clock, first to last, while ``walk`` lasted."""
+        waits, slip = 0, 0.0
+        if clocks:
+            waits = clocks[-1].waits_timed_out - clocks[0].waits_timed_out
+            slip = clocks[-1].slip - clocks[0].slip
+        return cls(_missed(walk, robot), waits, slip)
+
+
+def _missed(walk: Track, robot: RobotDescription) -> int:
+    return int(np.count_nonzero(walk.tick > robot.control_period))
 
 
 @dataclass(frozen=True)

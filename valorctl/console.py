@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -34,6 +34,16 @@ def rich_console() -> Console:
     return Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 200)
 
 
+def say_rows(rows: Iterable[tuple[str, str]]) -> None:
+    """What, and how much: two columns."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for row in rows:
+        table.add_row(*row)
+    rich_console().print(table)
+
+
 class Progress:
     """Tells how a longer work goes on: on a terminal what is waited for now stands in one line that changes."""
 
@@ -46,6 +56,14 @@ class Progress:
         if self._live and text != self._last:
             self._last = text
             print(f"\r\033[K… {text}", end="", flush=True)
+
+    def stage(self, text: str) -> None:
+        """A stage of a longer work begins: shown as what is waited for, and where that cannot be shown as a line."""
+        if self._live:
+            self.waiting(text)
+        elif text != self._last:
+            self._last = text
+            say(text)
 
     def done(self, text: str) -> None:
         """A step is done."""

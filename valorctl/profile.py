@@ -20,7 +20,7 @@ class Defaults(Table):
     clock: ClockMode = "lockstep"
     actuators: str = "hardware"  # a profile of the robot's robot.yaml
     world: str = "flat"
-    seed: int = 0
+    seed: Annotated[int, Meta(ge=0)] = 0
     real_time_factor: NonNegative = 1.0
 
 

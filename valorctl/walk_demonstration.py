@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from valor_common import worlds
@@ -13,7 +13,7 @@ from valor_common.instance import ClockMode, Instance
 from valor_common.robot import RobotDescription
 from valor_common.worlds.dirt import Dirt
 from valorctl import demonstration, walking
-from valorctl.console import Progress, bar, rich_console
+from valorctl.console import Progress, bar, say_rows
 from valorctl.instance_setup import Request
 from valorctl.interruption import InterruptedBySignalError, Interruption
 
@@ -91,15 +91,17 @@ def _show(
     from valor_analysis.bag import Bag
     from valor_analysis.recording import Recording
     from valor_analysis.walk import Figures, Timeliness, Track
+    from valor_analysis.walk_report import WalkReport
 
     progress.waiting("reading the bag")
     recorded = Bag.of(bag)
     recording = Recording(recorded, robot)
     track = Track.of(recording)
-    first, last = track.walk()
-    figures = Figures.of(track.between(first, last))
-    timeliness = Timeliness.of(recording, first, last)
-    figures_file.write_text(json.dumps(asdict(figures) | asdict(timeliness), indent=2) + "\n")
+    track = track.between(*track.walk())
+    figures = Figures.of(track)
+    report = WalkReport(figures, Timeliness.of(recording, track))
+    whole = {"distance_m": figures.distance, "duration_s": figures.duration, "fell": figures.fell}
+    figures_file.write_text(json.dumps(whole | report.named(), indent=2) + "\n")
     interruption.check()
     made: list[Path] = []
     for draw in (walk_plots.path, walk_plots.dynamics, walk_plots.picture):
@@ -107,33 +109,12 @@ def _show(
         made += draw(recorded, robot, out=figures_file.parent)
         interruption.check()
     progress.clear()
-    _print(figures, timeliness)
+    say_rows(
+        [
+            ("distance", f"{figures.distance:.1f} m"),
+            ("robot time", f"{figures.duration:.1f} s ({figures.speed:.2f} m/s)"),
+            ("falls", str(int(figures.fell))),
+            *report.rows(),
+        ]
+    )
     return made
-
-
-def _print(figures: object, timeliness: object) -> None:
-    from rich.table import Table
-
-    from valor_analysis.walk import Figures, Timeliness
-
-    assert isinstance(figures, Figures)
-    assert isinstance(timeliness, Timeliness)
-    table = Table(box=None, pad_edge=False, show_header=False)
-    x, y, z = (1e3 * each for each in figures.dcm_error)
-    for name, value in (
-        ("distance", f"{figures.distance:.1f} m"),
-        ("robot time", f"{figures.duration:.1f} s ({figures.speed:.2f} m/s)"),
-        ("falls", str(int(figures.fell))),
-        ("DCM error, rms", f"{x:.1f}, {y:.1f}, {z:.1f} mm (x, y, z)"),
-        ("smallest knee angle", f"{figures.knee:.2f} rad"),
-        ("torques clamped at their limit", str(figures.saturations)),
-        ("vertical foot force, planned against measured", f"{figures.force_error:.0f} N rms, "
-                                                          f"{figures.force_error_median:.1f} N median"),
-        ("solver failures", str(figures.qp_failures)),
-        ("tick", f"{1e3 * figures.tick_median:.2f} ms median, {1e3 * figures.tick_99:.2f} ms p99"),
-        ("deadlines missed", f"{timeliness.overruns} of {figures.ticks}"),
-        ("waits timed out", str(timeliness.waits_timed_out)),
-        ("clock slip", f"{timeliness.slip:.2f} s"),
-    ):  # fmt: skip
-        table.add_row(name, value)
-    rich_console().print(table)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 import bifrost
+from valor_analysis.track_builder import TrackBuilder
+from valor_analysis.walk import Figures, Timeliness
+from valor_analysis.walk_report import WalkReport
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.messages import MotionState, VelocityCommand
-from valor_common.topics import MOTION_STATE, VELOCITY
+from valor_common.messages import ClockStatus, MotionState, Proprioceptor, VelocityCommand
+from valor_common.robot import RobotDescription
+from valor_common.robot import Walking as Limits
+from valor_common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VELOCITY
 from valorctl import control_mode
 from valorctl.steering import Line
 
@@ -23,6 +28,7 @@ REST_SPEED = 0.02  # of a pelvis at rest [m/s]
 REST_DURATION = 0.5  # for which it must be [robot time, s]
 LONGEST_STOP = 20.0  # [robot time, s]
 SILENCE = 5.0  # of the Motion Manager, after which it is given up [s]
+OTHERS = 0.5  # to hear whether somebody else leads a robot that walks already [s]
 _SLOWEST = 0.3  # of the speed asked for: a distance must be done by then
 _TO_BEGIN = 10.0  # and so long more [robot time, s]
 
@@ -48,10 +54,26 @@ class Order:
                 raise ValorError(f"{name} {value:g}: expected more than 0")
         if self.seconds is None and self.distance is None:
             raise ValorError("how long to walk: expected --for or --distance")
+        if not self.speed and not self.turn:
+            raise ValorError("where to walk: expected --vx, --vy or --wz other than 0")
         if self.distance is not None and not self.speed:
             raise ValorError(f"--distance {self.distance:g}: expected --vx or --vy other than 0")
         if self.straight and self.turn:
             raise ValorError(f"--straight keeps the heading: expected no --wz, not {self.turn:g}")
+
+    def require_within(self, limits: Limits, robot: str) -> None:
+        """Check the velocity against what a robot walks.
+
+        Raises:
+            ValorError: it does not walk so; names option, value and limits.
+        """
+        for name, value, lowest, highest, unit in (
+            ("--vx", self.forward, -limits.max_backward_speed, limits.max_forward_speed, "m/s"),
+            ("--vy", self.left, -limits.max_lateral_speed, limits.max_lateral_speed, "m/s"),
+            ("--wz", self.turn, -limits.max_turn_rate, limits.max_turn_rate, "rad/s"),
+        ):
+            if not lowest <= value <= highest:
+                raise ValorError(f"{name} {value:g}: {robot} walks at {lowest:g} to {highest:g} {unit}")
 
     @property
     def speed(self) -> float:
@@ -79,6 +101,7 @@ class Walk:
     reason: str  # of leaving Walk, if it did
     dcm_error: float  # mean distance of the DCM from its reference [m]
     pause: float  # longest between two velocities, in which the robot begins to stop after 0.5 s [robot time, s]
+    report: WalkReport | None  # None: nothing was measured while it lasted
 
     def describe(self) -> str:
         """One line."""
@@ -100,14 +123,21 @@ def walk(
         tell: is told of progress: robot time [s] and way [m].
 
     Raises:
-        ValorError: mode refused, or nobody answers.
+        ValorError: the robot does not walk so or has fallen, mode refused, somebody else leads it, nobody answers.
     """
-    before = control_mode.report(instance).current_control_mode
-    if before not in MODES:
-        _change(instance, "walk", check)
+    robot = RobotDescription.load(instance.settings().robot)
+    order.require_within(robot.tables.walking, robot.name)
+    report = control_mode.report(instance)
+    if report.behavior == "fall":
+        raise ValorError("the robot has fallen: see `valorctl get-up`")
+    before = report.current_control_mode
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
-        result = _walk(node, order, check, tell)
+        if before in MODES:
+            _require_nobody_leads(node)
+        else:
+            _change(instance, "walk", check)
+        result = _walk(node, robot, order, check, tell)
     if before not in MODES and not result.reason:
         _change(instance, before, check)
     return result
@@ -119,8 +149,28 @@ def _change(instance: Instance, mode: str, check: Callable[[], None]) -> None:
         raise ValorError(change.describe())
 
 
-def _walk(node: bifrost.Node, order: Order, check: Callable[[], None], tell: Callable[[float, float], None]) -> Walk:
+def _require_nobody_leads(node: bifrost.Node) -> None:
+    """Two who lead a robot would each have half of their way.
+
+    Raises:
+        ValorError: somebody else's velocities come.
+    """
+    heard = node.subscriber(VELOCITY.name, VelocityCommand).receive(timeout=OTHERS)
+    if heard is not None:
+        raise ValorError(f"the robot is being walked already: velocities come from {heard.origin}")
+
+
+def _walk(
+    node: bifrost.Node,
+    robot: RobotDescription,
+    order: Order,
+    check: Callable[[], None],
+    tell: Callable[[float, float], None],
+) -> Walk:
     states = node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
+    measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=5000)
+    clock = node.subscriber(CLOCK.name, ClockStatus, queue=100)
+    track, clocks = TrackBuilder(robot), list[ClockStatus]()
     commands = node.publisher(VELOCITY.name, VelocityCommand)
     run: _Run | None = None
     heard = time.monotonic()
@@ -130,15 +180,20 @@ def _walk(node: bifrost.Node, order: Order, check: Callable[[], None], tell: Cal
         if received:
             heard = time.monotonic()
             run = run or _Run(order, received[0].message)
-            for each in received:
-                run.consider(each.message)
+            lasted = run.consider([each.message for each in received])
+            track.add(lasted, [each.message for each in measured.drain()])
+            clocks += [each.message for each in clock.drain()]
             if run.asking:
                 commands.publish(run.command())
             tell(run.passed, run.way)
         elif time.monotonic() - heard > SILENCE:
             raise ValorError(f"{MOTION_STATE.name} is silent for {SILENCE:g} s: see `valorctl status`")
         time.sleep(PERIOD)
-    return run.result()
+    track.add([], [each.message for each in measured.drain()])
+    walked = track.track()
+    if walked is None or walked.time.size < 2:
+        return run.result(None)
+    return run.result(WalkReport(Figures.of(walked), Timeliness.heard(clocks, walked, robot)))
 
 
 class _Run:
@@ -162,10 +217,15 @@ class _Run:
         self.asking, self.over = True, False
         self.passed = self.way = 0.0
 
-    def consider(self, state: MotionState) -> None:
-        """Take the robot's next state in."""
-        if self.over:
-            return
+    def consider(self, states: Sequence[MotionState]) -> Sequence[MotionState]:
+        """Take the robot's next states in; returns those until the walk was over."""
+        for place, state in enumerate(states):
+            self._consider(state)
+            if self.over:
+                return states[: place + 1]
+        return states
+
+    def _consider(self, state: MotionState) -> None:
         self._state = state
         self._errors.append(float(np.linalg.norm(state.dcm_in_odom - state.dcm_reference_in_odom)))
         if np.linalg.norm(state.pelvis_linear_velocity_in_odom) > REST_SPEED:
@@ -188,7 +248,7 @@ class _Run:
         x, y, turn = straight
         return VelocityCommand(time=state.time, linear_x=x, linear_y=y, angular_z=turn)
 
-    def result(self) -> Walk:
+    def result(self, report: WalkReport | None) -> Walk:
         """What became of it."""
         state, began = self._state, self._began
         way = state.pelvis_position_in_odom - began.pelvis_position_in_odom
@@ -201,4 +261,5 @@ class _Run:
             reason="" if state.behavior in MODES else f"{state.behavior}: {state.reason}",
             dcm_error=float(np.mean(self._errors)),
             pause=self._pause,
+            report=report,
         )

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -21,6 +22,8 @@ import bifrost
 from tests.bifrost.network import mechanism, ports
 from tests.conftest import REPOSITORY, ROBOTS, wait_until
 from valor_common.instance import Instance
+from valor_common.messages import MotionState
+from valor_common.topics import MOTION_STATE
 from valorctl.profile import Profile
 from valorctl.status import look
 
@@ -295,6 +298,28 @@ def test_a_failed_up_says_why_and_leaves_nothing(ctl: Cli, robot: Callable[[Cli]
     ctl.assert_nothing_left()
 
 
+def one_walks_at_a_time(ctl: Cli) -> None:
+    """Who comes second is refused; who is interrupted leaves a robot that comes to a stop by itself."""
+    first = ctl.start("walk", "--vx", "0.2", "--for", "600")
+    instance = Instance("default", ctl.home)
+    network = bifrost.Network.load(instance.network_file, instance.keys)
+    with bifrost.Node("observer", network=network) as node:
+        states = node.subscriber(MOTION_STATE.name, MotionState)
+
+        def speed() -> float | None:
+            state = states.latest()
+            return state and float(np.linalg.norm(state.message.pelvis_linear_velocity_in_odom))
+
+        wait_until(lambda: (speed() or 0.0) > 0.15, TIMEOUT, "walking")
+        assert "walked already: velocities come from valorctl" in ctl("walk", "--vx", "-0.2", status=1)
+        assert first.poll() is None
+        first.send_signal(signal.SIGINT)
+        assert "interrupted by SIGINT" in first.communicate(timeout=TIMEOUT)[1]
+        assert first.returncode == 128 + signal.SIGINT
+        wait_until(lambda: (now := speed()) is not None and now < 0.005, TIMEOUT, "the robot at rest")
+    assert "control mode is stand_manipulate" in ctl("mode", "stand_manipulate")
+
+
 @pytest.mark.timeout(400)
 def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     told = ctl("up", "--bag", str(ctl.home / "whole.mcap"))
@@ -326,7 +351,13 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert not walked["fell"]
     assert 0.5 < walked["distance_m"] < 2.0
     assert walked["mean_dcm_error_m"] < 0.03
+    assert 0.0 < max(walked["dcm_error_rms_m"].values()) < 0.05
+    assert 0.3 < walked["smallest_knee_angle_rad"] < 1.2
+    assert 0.0 < walked["foot_force_error_rms_n"] < 150.0
+    assert walked["solver_failures"] == 0
+    assert 1500 < walked["ticks"] == pytest.approx(walked["duration_s"] * 500.0, rel=0.2)
     assert "finite" in ctl("walk", "--vx", "nan", status=1)
+    one_walks_at_a_time(ctl)
     picture = ctl.home / "steps.png"
     stepped = json.loads(ctl("step", "--to", "0.25", "0.05", "0.2", "--relative", "--plot", str(picture), "--json"))
     assert stepped["reached"]

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
 from valor_common.errors import ValorError
+from valor_common.robot import RobotDescription
 from valorctl.steering import SIDEWAYS, TURNING, Line
 from valorctl.walking import Order
 
@@ -24,11 +26,27 @@ from valorctl.walking import Order
         ({"turn": 0.1, "distance": 1.0}, "--distance 1: expected --vx or --vy"),
         ({"forward": 0.1, "turn": 0.1, "seconds": 1.0, "straight": True}, "--straight keeps the heading"),
         ({"forward": 0.1}, "--for or --distance"),
+        ({"seconds": 1.0}, "where to walk: expected --vx, --vy or --wz other than 0"),
     ],
 )
 def test_orders_that_make_no_sense_are_refused(order: dict[str, float], words: str) -> None:
     with pytest.raises(ValorError, match=words):
         Order(**order)
+
+
+@pytest.mark.parametrize("robot", ["escher", "thor"])
+def test_velocities_beyond_what_the_robot_walks_are_refused_with_its_limits(robot: str) -> None:
+    limits = RobotDescription.load(ROBOTS / robot).tables.walking
+    order = Order(limits.max_forward_speed, -limits.max_lateral_speed, limits.max_turn_rate, seconds=1.0)
+    order.require_within(limits, robot)
+    for beyond, words in (
+        ({"forward": limits.max_forward_speed + 0.01}, f"to {limits.max_forward_speed:g} m/s"),
+        ({"forward": -limits.max_backward_speed - 0.01}, f"-{limits.max_backward_speed:g} to"),
+        ({"left": limits.max_lateral_speed + 0.01}, f"--vy {limits.max_lateral_speed + 0.01:g}: {robot} walks at"),
+        ({"turn": -limits.max_turn_rate - 0.01}, f"{limits.max_turn_rate:g} rad/s"),
+    ):
+        with pytest.raises(ValorError, match=words):
+            Order(**beyond, seconds=1.0).require_within(limits, robot)
 
 
 @given(

@@ -41,7 +41,7 @@ def walk(
     out: Annotated[Path, typer.Option(help="The folder for the bag and the pictures.")] = Path("output/demo_walk"),
     distance: Annotated[float | None, typer.Option(help="To the finish line unless given [m].")] = None,
     speed: Annotated[float | None, typer.Option(help="Forward [m/s].")] = None,
-    seed: Annotated[int, typer.Option(help="Of the course and of all that is random in the simulation.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the course and of all that is random in the simulation.")] = 0,
     clock: Annotated[ClockMode, typer.Option(help="How simulated time runs.")] = "lockstep",
     rtf: Annotated[
         float, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")

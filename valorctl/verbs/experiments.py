@@ -32,7 +32,7 @@ def experiment(
     *,
     out: Annotated[Path, typer.Option(help="Each experiment leaves a folder of its name here.")] = OUT,
     quick: Annotated[bool, typer.Option("--quick", help="A short form, to see that everything works.")] = False,
-    seed: Annotated[int, typer.Option(help="Of all that is random in the simulation.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is random in the simulation.")] = 0,
     robot: Annotated[str, typer.Option(help="A name of robots/, or a folder.")] = "escher",
     actuators: Annotated[str, typer.Option(help="The robot's profile of imperfections: ideal, hardware.")] = "hardware",
 ) -> None:

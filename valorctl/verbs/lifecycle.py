@@ -26,7 +26,7 @@ def up(
     robot: Annotated[str | None, typer.Option(help="A name of robots/, or a folder.")] = None,
     clock: Annotated[ClockMode | None, typer.Option(help="How simulated time runs.")] = None,
     actuators: Annotated[str | None, typer.Option(help="A profile of robot.yaml: ideal, hardware.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of all that is random in the simulation.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random in the simulation.")] = None,
     world: Annotated[
         str | None, typer.Option(help="Where the robot stands: flat, dirt, stairs, stairs_15cm, rubble.")
     ] = None,

@@ -8,7 +8,7 @@ import typer
 
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valorctl.console import progress, say, say_json
+from valorctl.console import progress, say, say_json, say_rows
 from valorctl.interruption import Interruption
 
 DEFAULT_SECONDS = 5.0  # of a walk
@@ -173,8 +173,11 @@ def walk(
                 "reason": result.reason or None,
                 "mean_dcm_error_m": result.dcm_error,
                 "longest_pause_s": result.pause,
+                **(result.report.named() if result.report else {}),
             }
         )
+    elif result.report:
+        say_rows(result.report.rows())
     if result.reason:
         raise ValorError(f"walked {result.describe()}, then {result.reason}")
     if not json:
@@ -203,7 +206,7 @@ def get_up(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = Fals
     instance = Instance.from_environment()
     status.require_up(instance)
     with progress() as shown, Interruption() as interruption:
-        duration = getting_up.get_up(instance, interruption.check, shown.waiting)
+        duration = getting_up.get_up(instance, interruption.check, shown.waiting if json else shown.stage)
     if json:
         say_json({"duration_s": duration})
     else:
