@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from valor_analysis import style
 from valor_analysis.bag import Array
@@ -25,13 +26,14 @@ _MIDDLE = np.array([0.0, -0.12, 1.12])  # of the pictures, on the ground below t
 
 def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: Path) -> Path:
     """Position above and orientation below, by component, over time."""
-    figure = style.figure(11.0, 5.8)
-    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    figure, panels = _two_panels()
     at = track.time - track.time[0]
-    for row, (values, names, unit) in enumerate(
-        ((100.0 * error.position, _AXES, "[cm]"), (np.rad2deg(error.orientation), _TURNS, "[°]"))
+    for row, (axes, values, names, unit) in enumerate(
+        (
+            (panels[0], 100.0 * error.position, _AXES, "[cm]"),
+            (panels[1], np.rad2deg(error.orientation), _TURNS, "[°]"),
+        )
     ):
-        axes = figure.add_subplot(grid[row])
         last = row == 1
         style.quiet(axes, ("position", "orientation")[row], "robot time [s]" if last else "", unit)
         for i, name in enumerate(names):
@@ -39,35 +41,26 @@ def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: 
         if row == 0:
             axes.plot(at, np.linalg.norm(values, axis=1), color=style.GREY, linewidth=0.9, label="distance")
         _finish(axes, at, np.array([values.min(), np.linalg.norm(values, axis=1).max() if row == 0 else values.max()]))
-        bands(axes, at, track.behavior)
-        _mark(axes, track)
-        handles = axes.get_legend_handles_labels()[0]
-        style.legend(axes, handles, loc="upper right", bbox_to_anchor=(1.0, 1.24), ncols=4)
+        _name(axes, at, track, columns=4)
     style.heading(figure, title, subtitle)
     return style.save(figure, file)
 
 
 def base(track: HandTrack, file: Path) -> Path:
     """What the base's motion does to the hand, by component and as a distance, beside the whole error."""
-    figure = style.figure(11.0, 5.8)
-    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    figure, (above, below) = _two_panels()
     at = track.time - track.time[0]
     moved, total = track.base_error, track.total_error
-    above, below = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     style.quiet(above, "floating base minus fixed base", "", "[cm]")
     for i, name in enumerate(_AXES):
         above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
-    style.quiet(below, "distance", "robot time [s]", "[cm]")
-    below.plot(at, 100.0 * total.distance, color=style.GREY, linewidth=1.0, label="from the goal, all causes")
-    below.plot(at, 100.0 * moved.distance, color=style.MEASURED, linewidth=1.6, label="by the base's motion")
+    _distances(below, at, track)
     top = 130.0 * float(max(moved.distance.max(), np.quantile(total.distance, 0.3)))
     below.set_ylim(0.0, max(top, 1.0))  # on the way to a goal the whole error is far larger: not what this is about
     _finish(above, at, 100.0 * moved.position)
     below.set_xlim(at[0], at[-1])
     for axes in (above, below):
-        bands(axes, at, track.behavior)
-        _mark(axes, track)
-        style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.24), ncols=3)
+        _name(axes, at, track)
     largest = 100.0 * float(moved.distance.max())
     style.heading(figure, "What the floating base does to the hand", f"at most {largest:.1f} cm")
     return style.save(figure, file)
@@ -75,18 +68,14 @@ def base(track: HandTrack, file: Path) -> Path:
 
 def shares(track: HandTrack, file: Path) -> Path:
     """The whole error from the goal and the floating base's part of it, by component and as distances (figure 5.15)."""
-    figure = style.figure(11.0, 5.8)
-    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    figure, (above, below) = _two_panels()
     at = track.time - track.time[0]
     total, moved = track.total_error, track.base_error
-    above, below = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     style.quiet(above, "solid: from the goal; dashed: by the floating base", "", "[cm]")
     for i, name in enumerate(_AXES):
         above.plot(at, 100.0 * total.position[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
         above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.1, linestyle=(0, (3, 2)))
-    style.quiet(below, "distance", "robot time [s]", "[cm]")
-    below.plot(at, 100.0 * total.distance, color=style.GREY, linewidth=1.3, label="from the goal, all causes")
-    below.plot(at, 100.0 * moved.distance, color=style.MEASURED, linewidth=1.6, label="by the base's motion")
+    _distances(below, at, track)
     # On the way to a goal errors are those of motions that are not made yet: what stays is what is looked at.
     rest = np.concatenate([np.flatnonzero(track.settled(motion)) for motion in track.motions])
     most = 140.0 * float(np.abs(total.position[rest]).max())
@@ -94,9 +83,7 @@ def shares(track: HandTrack, file: Path) -> Path:
     below.set_ylim(0.0, max(140.0 * float(total.distance[rest].max()), 1.0))
     for axes in (above, below):
         axes.set_xlim(at[0], at[-1])
-        bands(axes, at, track.behavior)
-        _mark(axes, track)
-        style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.24), ncols=3)
+        _name(axes, at, track)
     largest = 100.0 * float(total.distance[rest].max())
     style.heading(figure, "Whose error it is", f"at rest at most {largest:.1f} cm from the goal")
     return style.save(figure, file)
@@ -112,9 +99,7 @@ def torso(track: HandTrack, file: Path) -> Path:
     for i, name in enumerate(_AXES):
         axes.plot(at, moved[:, i], color=style.SERIES[i], linewidth=1.4, label=name)
     _finish(axes, at, moved)
-    bands(axes, at, track.behavior)
-    _mark(axes, track)
-    style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.28), ncols=3)
+    _name(axes, at, track, top=1.28)
     style.heading(figure, "The torso gives way to the arm", "position of the chest from where it was")
     return style.save(figure, file)
 
@@ -145,6 +130,22 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
     return style.save(figure, file, _DPI)
 
 
+def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
+    """A figure, and its axes: above, below."""
+    figure = style.figure(11.0, 5.8)
+    grid = figure.add_gridspec(2, 1, left=0.07, right=0.985, bottom=0.09, top=0.80, hspace=0.42)
+    return figure, (figure.add_subplot(grid[0]), figure.add_subplot(grid[1]))
+
+
+def _distances(axes: Axes, at: Array, track: HandTrack) -> None:
+    style.quiet(axes, "distance", "robot time [s]", "[cm]")
+    for error, color, width, label in (
+        (track.total_error, style.GREY, 1.3, "from the goal, all causes"),
+        (track.base_error, style.MEASURED, 1.6, "by the base's motion"),
+    ):
+        axes.plot(at, 100.0 * error.distance, color=color, linewidth=width, label=label)
+
+
 def _finish(axes: Axes, at: Array, values: Array) -> None:
     axes.set_xlim(at[0], at[-1])
     low, high = float(values.min()), float(values.max())
@@ -152,7 +153,10 @@ def _finish(axes: Axes, at: Array, values: Array) -> None:
     axes.set_ylim(low - 0.18 * room, high + 0.12 * room)  # below: the bands
 
 
-def _mark(axes: Axes, track: HandTrack) -> None:
-    """A thin line where each motion begins."""
+def _name(axes: Axes, at: Array, track: HandTrack, columns: int = 3, top: float = 1.24) -> None:
+    """The behaviors below, a thin line where each motion begins, and the legend above."""
+    bands(axes, at, track.behavior)
     for motion in track.motions:
         axes.axvline(motion.start - track.time[0], color=style.LIGHT, linewidth=0.9, zorder=0.6)
+    handles = axes.get_legend_handles_labels()[0]
+    style.legend(axes, handles, loc="upper right", bbox_to_anchor=(1.0, top), ncols=columns)
