@@ -233,3 +233,13 @@ def connected(publisher: bifrost.Publisher[Sample], *subscribers: bifrost.Subscr
             assert received is not None
             last = received.sequence  # noqa: PLW2901
     return sequence
+
+
+def sequences(subscriber: bifrost.Subscriber[Sample], last: int) -> list[int]:
+    """The sequences of all messages that come, up to one."""
+    came: list[int] = []
+    while not came or came[-1] < last:
+        received = subscriber.receive(timeout=10.0)
+        assert received is not None
+        came.append(received.sequence)
+    return came
