@@ -7,43 +7,55 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Generic, TypeVar
 
+import bifrost
 from tests.conftest import RunningInstance, fresh_instance, wait_until
 from valor_common.messages import BehaviorReply, BehaviorRequest, DeviceStatus, MotionState
 from valor_common.topics import BEHAVIOR, DEVICES, MOTION_STATE, STATISTICS
 
+M = TypeVar("M", bound=bifrost.Message)
 PATIENCE = 60.0  # [s]
 _BEFORE = {"freeze": "stand_prep", "idle": "stand_prep", "soft_stop": "stand", "stand_prep": "stand"}
+
+
+class Newest(Generic[M]):
+    """The newest message of a topic, whenever asked."""
+
+    def __init__(self, subscriber: bifrost.Subscriber[M]) -> None:
+        self._subscriber = subscriber
+        self._message: M | None = None
+
+    def __call__(self) -> M:
+        """It; waits for the first."""
+        received = self._subscriber.latest()
+        if received is None and self._message is None:
+            received = self._subscriber.receive(PATIENCE)
+        if received is not None:
+            self._message = received.message
+        assert self._message is not None
+        return self._message
 
 
 class RobotOnDevices:
     """What devices and Motion System say, and a way from one behavior to another."""
 
     def __init__(self, running: RunningInstance) -> None:
-        node = running.node()
-        self._devices = node.subscriber(DEVICES.name, DeviceStatus)
-        self._states = node.subscriber(MOTION_STATE.name, MotionState)
-        self._behavior = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._status: DeviceStatus | None = None
-        self._state: MotionState | None = None
         self.running = running
-        self.node = node
+        self.node = running.node()
+        self._status = Newest(self.node.subscriber(DEVICES.name, DeviceStatus))
+        self._state = Newest(self.node.subscriber(MOTION_STATE.name, MotionState))
+        self._behavior = self.node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
 
     @property
     def status(self) -> DeviceStatus:
         """The newest word on the devices."""
-        if received := self._devices.latest() or (self._status is None and self._devices.receive(PATIENCE)):
-            self._status = received.message
-        assert self._status is not None
-        return self._status
+        return self._status()
 
     @property
     def state(self) -> MotionState:
         """The Motion System's newest."""
-        if received := self._states.latest() or (self._state is None and self._states.receive(PATIENCE)):
-            self._state = received.message
-        assert self._state is not None
-        return self._state
+        return self._state()
 
     @property
     def behavior(self) -> str:
