@@ -129,10 +129,13 @@ def measure(options: argparse.Namespace, home: Path) -> list[tuple[str, float, d
         if options.vx:
             phase("walking", lambda: valorctl(instance, "walk", "--vx", str(options.vx), "--for", str(options.seconds)))
         if options.push:
-            for k in range(options.pushes):
-                watch.push((-1) ** k * options.push)
-            after = f"after {options.pushes} pushes of {options.push:g} N·s sideways"
-            print(f"{after}: {watch.state().behavior}", flush=True)
+            said = f"at rest after each of {options.pushes} pushes of {options.push:g} N·s sideways"
+            try:
+                for k in range(options.pushes):
+                    watch.push((-1) ** k * options.push)
+            except ValorError as error:
+                said = str(error)
+            print(f"pushed: {watch.state().behavior}; {said}", flush=True)
     return columns
 
 
