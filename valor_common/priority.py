@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 _AUTOGROUP = Path("/proc/self/autogroup")
@@ -47,3 +48,23 @@ def take_real_time(priority: int) -> bool:
     except PermissionError:
         return False
     return True
+
+
+def granted(real_time: int, niceness: int) -> tuple[bool, bool]:
+    """Whether a process of this user would get a real-time priority, and a nice value: tried in a thread that ends."""
+    attempts: tuple[Callable[[], None], ...] = (
+        lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(real_time)),
+        lambda: os.setpriority(os.PRIO_PROCESS, 0, niceness),  # Linux: of the calling thread
+    )
+    done = [False, False]
+
+    def attempt() -> None:
+        for i, each in enumerate(attempts):
+            with contextlib.suppress(PermissionError):
+                each()
+                done[i] = True
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return done[0], done[1]

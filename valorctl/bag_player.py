@@ -16,7 +16,7 @@ from valor_analysis.stored import StoredBag, StoredTopic
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
 from valor_common.selection import Selection
-from valorctl.instance_setup import domains_taken
+from valorctl import ros_domain
 
 DEPTH = 100
 _WINDOW = 1_000_000_000  # within which a bag's messages may stand out of order [ns]
@@ -49,11 +49,11 @@ def play(
     check: Callable[[], None],
     tell: Callable[[float, int], None],
 ) -> Played:
-    """Play a bag into a ROS domain in which no robot system of this home runs.
+    """Play a bag into a ROS domain in which no robot system runs.
 
     Args:
         file: a bag.
-        instance: any of the home whose systems are to be left alone.
+        instance: any of the home whose systems are left alone even where their supervisord was killed.
         domain: None: ``ROS_DOMAIN_ID``, else 0.
         rate: of the bag's own pace.
         topics: shell patterns; none: all.
@@ -66,8 +66,7 @@ def play(
     if not (math.isfinite(rate) and rate > 0.0):
         raise ValorError(f"--rate {rate:g}: expected a number above 0")
     domain = int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain is None else domain
-    taken = domains_taken(instance.folder.parent)
-    if domain in taken:
+    if ros_domain.is_reserved(domain) or domain in ros_domain.taken(instance.folder.parent):
         raise ValorError(
             f"ROS domain {domain} is a running system's, which would obey the bag; choose another: --domain"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import getpass
 import os
 import platform
 import shutil
@@ -19,7 +20,9 @@ import psutil
 import bifrost
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valorctl import instance_setup, leftovers, supervisor_config
+from valor_common.priority import granted
+from valor_common.processes import PROCESSES
+from valorctl import leftovers, ros_domain, supervisor_config
 from valorctl.supervision import Supervisor
 
 Level = Literal["ok", "warn", "fail"]
@@ -145,10 +148,9 @@ def _ports(instance: Instance) -> Finding:
             text = f"bifrostd does not answer at {network.computer.daemon}"
             return Finding("ports", "fail", text, "valorctl logs bifrostd; valorctl restart bifrostd")
         return Finding("ports", "ok", f"bifrostd answers at {network.computer.daemon}")
-    taken = instance_setup.domains_taken(instance.folder.parent, but=instance)
     try:
-        domain = instance_setup.choose_domain(str(instance.folder), taken, instance_setup.domain_is_free)
-        with socket.socket() as probe:
+        with ros_domain.reserve(instance) as reservation, socket.socket() as probe:
+            domain = reservation.domain
             probe.bind(("127.0.0.1", 0))
     except (ValorError, OSError) as error:
         return Finding("ports", "fail", str(error), "stop other ROS 2 systems, or look at the firewall's rules")
@@ -206,6 +208,19 @@ def _processor(_: Instance) -> Finding:
     return Finding("processor", "ok", f"{cores} cores, governor {', '.join(sorted(governors)) or 'not adjustable'}")
 
 
+def _real_time(_: Instance) -> Finding:
+    priority, niceness = max(row.real_time for row in PROCESSES), min(row.priority for row in PROCESSES)
+    real_time, nice = granted(priority, niceness)
+    if real_time:
+        return Finding("real time", "ok", f"control loops get SCHED_FIFO, priority {priority}")
+    instead = f"at nice {niceness} on hardware, like all else in sim" if nice else "like all else"
+    advice = (
+        f"/etc/security/limits.d/valor.conf: `{getpass.getuser()} - rtprio {priority}` and `… - nice {niceness}`, then "
+        "log in anew; in a container: --cap-add SYS_NICE"
+    )
+    return Finding("real time", "warn", f"SCHED_FIFO is not granted: control loops run {instead}", advice)
+
+
 def _leftovers(_: Instance) -> Finding:
     groups: dict[tuple[str, str], list[leftovers.Supervised]] = {}
     for process in leftovers.supervised_processes():
@@ -229,6 +244,7 @@ CHECKS: tuple[Callable[[Instance], Finding], ...] = (
     _rendering,
     _multicast,
     _processor,
+    _real_time,
     _memory,
     _disk,
     _supervisor,

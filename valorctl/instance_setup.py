@@ -1,15 +1,12 @@
-"""What an instance gets before anything runs: its folder, a ROS domain of its own, a Bifrost network, its settings."""
+"""What an instance gets before anything runs: its folder, a Bifrost network, its settings."""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
-import json
 import os
-import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,9 +19,6 @@ from valor_common.instance import ClockMode, Instance, Recording, Settings
 from valor_common.resources import profile_file, robot_folder
 from valor_common.robot import RobotDescription
 from valorctl.profile import Profile
-
-DOMAINS = range(1, 102)
-"""ROS domains whose ports lie below Linux' ephemeral ones; 0 is everybody's."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +94,11 @@ def _expect(option: str, value: str, known: tuple[str, ...]) -> None:
         raise ConfigurationError(f"{option} {value!r}: expected one of {', '.join(known)}")
 
 
-def make(instance: Instance, wanted: Settings) -> Settings:
-    """Make the folder, choose the ROS domain, and write network, keys and settings.
+def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
+    """Make the folder, and write network, keys and settings.
 
     Raises:
-        ValorError: the folder cannot be written, or no ROS domain is free.
+        ConfigurationError: the folder cannot be written.
     """
     try:
         instance.folder.mkdir(parents=True, exist_ok=True)
@@ -114,13 +108,8 @@ def make(instance: Instance, wanted: Settings) -> Settings:
             wanted.bag.parent.mkdir(parents=True, exist_ok=True)
         _rotate_logs(instance)
         bifrost.Network.create(instance.network_file, instance.keys)
-        # Instances of one home choose one after the other, so that each sees what the others took.
-        with locked(instance.folder.parent / ".lock", wait=True):
-            domain = choose_domain(
-                str(instance.folder), domains_taken(instance.folder.parent, but=instance), domain_is_free
-            )
-            settings = msgspec.structs.replace(wanted, ros_domain_id=domain, epoch=time.monotonic_ns())
-            _write(instance.settings_file, settings.json())
+        settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
+        _write(instance.settings_file, settings.json())
     except OSError as error:
         raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None
     return settings
@@ -138,57 +127,14 @@ def _rotate_logs(instance: Instance) -> None:
         log.replace(log.with_name(log.name + ".1"))
 
 
-def choose_domain(key: str, taken: set[int], is_free: Callable[[int], bool]) -> int:
-    """A ROS domain that nobody uses; the search begins at a place that depends on ``key`` alone.
-
-    Raises:
-        ValorError: all are taken.
-    """
-    start = int.from_bytes(hashlib.sha256(key.encode()).digest()[:4], "big") % len(DOMAINS)
-    for offset in range(len(DOMAINS)):
-        domain = DOMAINS[(start + offset) % len(DOMAINS)]
-        if domain not in taken and is_free(domain):
-            return domain
-    raise ValorError(f"no free ROS domain: {DOMAINS[0]} to {DOMAINS[-1]} are all in use on this computer")
-
-
-def discovery_port(domain: int) -> int:
-    """The UDP port that the first participant of a domain listens on (DDSI-RTPS 2.2, 9.6.1.1: 7400 + 250·d + 10)."""
-    return 7410 + 250 * domain
-
-
-def domain_is_free(domain: int) -> bool:
-    """Whether no participant of the domain runs on this computer."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", discovery_port(domain)))
-        except OSError:
-            return False
-    return True
-
-
-def domains_taken(home: Path, but: Instance | None = None) -> set[int]:
-    """The ROS domains of the instances under a home, but of one."""
-    taken = set()
-    for file in home.glob("*/instance.json"):
-        if but is None or file != but.settings_file:
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-                taken.add(int(json.loads(file.read_text())["ros_domain_id"]))
-    return taken
-
-
 @contextlib.contextmanager
-def locked(file: Path, wait: bool, busy: str = "") -> Iterator[None]:
-    """Hold a lock file. It is released by the kernel, however the holder ends.
-
-    Args:
-        file: made when absent; stays.
-        wait: until the lock is free; else fail at once.
-        busy: the text to fail with.
+def changing(instance: Instance) -> Iterator[None]:
+    """Hold an instance while it is brought up or down. The kernel lets go of it, however the holder ends.
 
     Raises:
-        ValorError: somebody else holds it.
+        ValorError: another valorctl is at it.
     """
+    file = instance.folder.parent / f".{instance.name}.lock"
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -196,21 +142,10 @@ def locked(file: Path, wait: bool, busy: str = "") -> Iterator[None]:
         raise ConfigurationError(f"{file}: {error.strerror}") from None
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValorError(busy) from None
+            text = f"instance {instance.name!r} is being brought up or down by another valorctl"
+            raise ValorError(text) from None
         yield
     finally:
         os.close(descriptor)
-
-
-@contextlib.contextmanager
-def changing(instance: Instance) -> Iterator[None]:
-    """Hold an instance while it is brought up or down.
-
-    Raises:
-        ValorError: another valorctl is at it.
-    """
-    busy = f"instance {instance.name!r} is being brought up or down by another valorctl"
-    with locked(instance.folder.parent / f".{instance.name}.lock", wait=False, busy=busy):
-        yield

@@ -11,7 +11,7 @@ from pathlib import Path
 from valor_common.errors import ValorError
 from valor_common.instance import Instance, Settings
 from valor_common.processes import BY_NAME, Process
-from valorctl import instance_setup, leftovers, shutdown, status, supervision, supervisor_config
+from valorctl import instance_setup, leftovers, ros_domain, shutdown, status, supervision, supervisor_config
 from valorctl.console import Progress
 from valorctl.health import Health, Listener, judge
 from valorctl.interruption import Interruption
@@ -68,10 +68,11 @@ def _bring_up(
     instance: Instance, plan: instance_setup.Plan, progress: Progress, interruption: Interruption
 ) -> Settings:
     processes = plan.profile.table
-    settings = instance_setup.make(instance, plan.settings)
-    interruption.check()
-    environment = supervisor_config.environment(instance, sys.executable, os.environ)
-    supervisor = supervision.launch(instance, processes, environment, interruption.check)
+    with ros_domain.reserve(instance) as reservation:  # from then on supervisord holds it
+        settings = instance_setup.make(instance, plan.settings, reservation.domain)
+        interruption.check()
+        environment = supervisor_config.environment(instance, sys.executable, os.environ)
+        supervisor = supervision.launch(instance, processes, environment, reservation.fileno(), interruption.check)
     with Listener(instance, [process.name for process in processes]) as listener:
         _start(instance, supervisor, listener, processes, progress=progress, interruption=interruption)
     if plan.initial_mode is not None:

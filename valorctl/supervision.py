@@ -165,7 +165,11 @@ def count_restarts(log: Path) -> dict[str, int]:
 
 
 def launch(
-    instance: Instance, processes: Iterable[Process], environment: dict[str, str], check: Callable[[], None]
+    instance: Instance,
+    processes: Iterable[Process],
+    environment: dict[str, str],
+    held: int,
+    check: Callable[[], None],
 ) -> Supervisor:
     """Start supervisord in a session of its own; no process is started yet.
 
@@ -173,6 +177,7 @@ def launch(
         instance: its folder holds configuration and socket.
         processes: those that can be started then.
         environment: of supervisord and all of them.
+        held: a descriptor that supervisord keeps open as long as it lives, and its processes do not.
         check: called while waiting; may raise to give up.
 
     Raises:
@@ -187,7 +192,7 @@ def launch(
             [sys.executable, "-m", "supervisor.supervisord", "-c", str(config)],
             cwd=instance.logs,  # where libraries, MuJoCo for one, leave their own logs
             env=environment,
-            stdin=subprocess.DEVNULL,
+            stdin=held,  # which it never reads; others it closes
             stdout=out,
             stderr=subprocess.STDOUT,
             start_new_session=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -21,10 +22,12 @@ import pytest
 import bifrost
 from tests.bifrost.network import mechanism, ports
 from tests.conftest import REPOSITORY, ROBOTS, wait_until
+from tests.unit.test_ros_domain import homes_that_begin_alike
 from valor_common.instance import Instance
 from valor_common.messages import MotionState
 from valor_common.topics import MOTION_STATE
 from valorctl.profile import Profile
+from valorctl.ros_domain import is_reserved
 from valorctl.status import look
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
@@ -194,6 +197,27 @@ def test_two_instances_do_not_meet(ctl: Cli) -> None:
     ctl("down", "--instance", "two")
     ctl.assert_nothing_left("one")
     ctl.assert_nothing_left("two")
+
+
+def test_two_homes_that_come_up_at_once_get_domains_of_their_own(ctl: Cli) -> None:
+    homes = list(itertools.islice(homes_that_begin_alike(ctl.home), 2))
+    both = [Cli(home) for home in homes]
+    try:
+        for cli in both:
+            cli.home.mkdir()
+        starting = [cli.start("--instance", "x", "up", "--profile", cli.profile(BIFROST_ALONE)) for cli in both]
+        assert [process.wait(TIMEOUT) for process in starting] == [0, 0]
+        domains = [Instance("x", home).settings().ros_domain_id for home in homes]
+        assert domains[0] != domains[1]
+        assert all(is_reserved(domain) for domain in domains)  # though no ROS node is there
+        os.kill(both[0].supervisord("x"), signal.SIGKILL)
+        wait_until(lambda: not is_reserved(domains[0]), PATIENCE, "a domain goes with its supervisor")
+        for cli in both:
+            cli("down", "--instance", "x")
+            cli.assert_nothing_left("x")
+    finally:
+        for process in (process for cli in both for process in cli.processes()):
+            process.kill()
 
 
 def test_killed_restarted_and_silent_processes_are_seen_as_such(ctl: Cli) -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import configparser
 import shlex
-import socket
 from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.conftest import REPOSITORY
 from valor_common import resources
@@ -22,7 +19,7 @@ from valor_common.processes import BY_NAME, PROCESSES, Process
 from valor_common.robot import RobotDescription
 from valor_common.service import EXIT_CONFIGURATION
 from valorctl import instance_setup, supervisor_config
-from valorctl.instance_setup import DOMAINS, Request, choose_domain, discovery_port, domain_is_free, domains_taken
+from valorctl.instance_setup import Request
 from valorctl.profile import Profile
 from valorctl.startup import free
 
@@ -106,42 +103,6 @@ def test_processes_for_devices_that_the_robot_does_not_have_are_left_out() -> No
     assert profile.suiting(escher).processes == profile.processes
     tables = msgspec.structs.replace(escher.tables, devices={})
     assert profile.suiting(RobotDescription(escher.folder, tables)).processes == ("bifrostd", "comms_manager")
-
-
-@given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))
-def test_a_domain_is_chosen_that_nobody_has(key: str, taken: set[int], busy: set[int]) -> None:
-    if len(taken | busy) == len(DOMAINS):
-        with pytest.raises(ValorError, match="no free ROS domain"):
-            choose_domain(key, taken, lambda domain: domain not in busy)
-        return
-    domain = choose_domain(key, taken, lambda domain: domain not in busy)
-    assert domain in DOMAINS
-    assert domain not in taken | busy
-    assert domain == choose_domain(key, taken, lambda domain: domain not in busy)
-
-
-def test_two_names_begin_their_search_at_different_places() -> None:
-    assert len({choose_domain(f"/home/{name}", set(), lambda _: True) for name in "abcdefgh"}) > 4
-
-
-def test_domains_keep_clear_of_ephemeral_ports() -> None:
-    assert discovery_port(0) == 7410
-    assert discovery_port(max(DOMAINS)) + 240 < 32768 + 250
-
-
-def test_a_domain_in_use_is_seen() -> None:
-    domain = choose_domain("test", set(), domain_is_free)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("127.0.0.1", discovery_port(domain)))
-        assert not domain_is_free(domain)
-    assert domain_is_free(domain)
-
-
-def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
-    for name, content in (("a", '{"ros_domain_id": 5}'), ("b", '{"ros_domain_id": 6}'), ("c", "garbage")):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "instance.json").write_text(content)
-    assert domains_taken(tmp_path, but=Instance("b", tmp_path)) == {5}
 
 
 def test_the_profiles_that_come_with_us_are_valid() -> None:
