@@ -8,10 +8,11 @@ from collections.abc import Callable
 import bifrost
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.messages import BehaviorReply, BehaviorRequest, MotionState
+from valor_common.messages import REQUESTED_BY, BehaviorReply, BehaviorRequest, MotionState
 from valor_common.topics import BEHAVIOR, MOTION_STATE
 
 GET_UP, UP = "get_up", "stand_prep"
+GETTING_UP = "getting up"  # shown until the robot says which pose it makes
 LONGEST = 120.0  # of wall time [s]
 _SILENT = 2.0  # [s]
 
@@ -51,7 +52,7 @@ def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str],
             state = received.message
             if state.behavior == GET_UP:
                 began = state.time if began is None else began
-                shown(state.reason)
+                shown(GETTING_UP if state.reason.startswith(REQUESTED_BY) else state.reason)
             elif began is not None:
                 if state.behavior != UP:
                     raise ValorError(f"not up: {state.behavior}: {state.reason}")

@@ -344,7 +344,7 @@ def one_walks_at_a_time(ctl: Cli) -> None:
     assert "control mode is stand_manipulate" in ctl("mode", "stand_manipulate")
 
 
-@pytest.mark.timeout(400)
+@pytest.mark.timeout(600)
 def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     told = ctl("up", "--bag", str(ctl.home / "whole.mcap"))
     assert "control mode stand" in told
