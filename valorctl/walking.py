@@ -28,7 +28,7 @@ REST_SPEED = 0.02  # of a pelvis at rest [m/s]
 REST_DURATION = 0.5  # for which it must be [robot time, s]
 LONGEST_STOP = 20.0  # [robot time, s]
 SILENCE = 5.0  # of the Motion Manager, after which it is given up [s]
-OTHERS = 0.5  # to hear whether somebody else leads a robot that walks already [s]
+OTHERS = 1.0  # to hear whether somebody else leads a robot that walks already [s]
 _SLOWEST = 0.3  # of the speed asked for: a distance must be done by then
 _TO_BEGIN = 10.0  # and so long more [robot time, s]
 
