@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from motion_manager.joint_reference import Joints
+from motion_manager.kernel import Expression, Kernel, clipped
 from motion_manager.whole_body import WholeBodyCommand
 from valor_common.messages import JointMode, Motor
 from valor_common.model import WHOLE_BODY_GROUPS
@@ -59,6 +62,8 @@ class MotorCommand:
         )
         self._limp = Drive(self._modes(force, force, off), nothing, np.where(self._compliant, damping, 0.0))
         self._zeros = nothing
+        self._wanted, self._checked, self._checks = np.zeros((5, n)), np.zeros((3, n)), np.zeros(2)
+        self._check = Kernel("command", self._expressions, (self._wanted,), (self._checked, self._checks))
         self.saturations = 0
         self.replaced = 0
         self.drive = self._limp
@@ -80,7 +85,7 @@ class MotorCommand:
 
     def hold(self, position: FloatVector, velocity: FloatVector, effort: FloatVector) -> None:
         """Every joint by its servo gains, around a reference and an effort [rad, rad/s, N·m]."""
-        self._set(self._servo, position, velocity, self._compliant * effort)
+        self._set(self._servo, position, velocity, effort)
 
     def balance(
         self,
@@ -114,12 +119,7 @@ class MotorCommand:
             led_position = np.where(self.force, position, share * command.position + rest * position)
             led_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
             compliant_effort = share * command.effort + rest * effort
-        self._set(
-            drive,
-            np.where(self._led, led_position, position),
-            np.where(self._led, led_velocity, velocity),
-            self._compliant * compliant_effort,
-        )
+        self._set(drive, position, velocity, compliant_effort, led_position, led_velocity)
 
     def repeat(self) -> None:
         """The last command once more, at rest and with damping: for a period without a better one."""
@@ -127,16 +127,48 @@ class MotorCommand:
         drive = self.drive
         self.drive = Drive(drive.mode, drive.stiffness, np.maximum(drive.damping, self._limp.damping))
 
-    def _set(self, drive: Drive, position: FloatVector, velocity: FloatVector, effort: FloatVector) -> None:
-        """Take a command if it is finite, within the effort limits; else repeat the last."""
-        if not math.isfinite(float(position.dot(position) + velocity.dot(velocity) + effort.dot(effort))):
+    def _set(
+        self,
+        drive: Drive,
+        position: FloatVector,
+        velocity: FloatVector,
+        effort: FloatVector,
+        led_position: FloatVector | None = None,
+        led_velocity: FloatVector | None = None,
+    ) -> None:
+        """Take a command if it is finite, within the effort limits; else repeat the last.
+
+        Args:
+            drive: how.
+            position: (n,) [rad].
+            velocity: (n,) [rad/s].
+            effort: (n,) of compliant joints; of the others unused [N·m].
+            led_position, led_velocity: (n,) of the joints that the Whole-Body Controller leads; None: as the others.
+        """
+        led = (position if led_position is None else led_position, velocity if led_velocity is None else led_velocity)
+        np.concatenate((position, velocity, effort, *led), out=self._wanted.reshape(-1))
+        self._check()
+        squares, beyond = self._checks.tolist()
+        if not math.isfinite(squares):
             self.replaced += 1
             self.repeat()
             return
-        if (beyond := int(np.count_nonzero(np.abs(effort) >= self._effort_limit))) > 0:
-            self.saturations += beyond
-            effort = np.clip(effort, -self._effort_limit, self._effort_limit)
-        self.drive, self.position, self.velocity, self.effort = drive, position, velocity, effort
+        self.saturations += int(beyond)
+        self.drive = drive
+        self.position, self.velocity, self.effort = self._checked.copy()
+
+    def _expressions(self, wanted: Expression) -> Sequence[Expression]:
+        """(3, n) positions, velocities and limited efforts; (2,) the squares of all, and how many reach a limit."""
+        position, velocity, effort, *led = (wanted[i, :] for i in range(5))
+        joints = np.flatnonzero(self._led).tolist()
+        position[joints], velocity[joints] = led[0][joints], led[1][joints]
+        compliant = np.flatnonzero(self._compliant).tolist()
+        limit = ca.DM(self._effort_limit).T[compliant]
+        limited = ca.SX(1, effort.shape[1])
+        limited[compliant] = clipped(effort[compliant], -limit, limit)
+        squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort)
+        beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
+        return ca.vertcat(position, velocity, limited), ca.vertcat(squares, beyond)
 
     def message(self, time: int, sequence: int, proprioceptor_sequence: int) -> Motor:
         """The command as a Motor."""

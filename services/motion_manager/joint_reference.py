@@ -138,7 +138,7 @@ class JointReference:
         if self._running_on:
             self._now[0] = now
             self._run_on()
-            target, velocity, acceleration = self._target.copy()
+            target, velocity, acceleration = self._target
             if not self._fresh[0]:
                 self._come_to_rest(target)
         if self._move is not None:

@@ -386,7 +386,7 @@ class MotionManager:
         Hands that are led from outside and touch something may hold on to it: then the feet stay.
         """
         controller = self._controller
-        holding = self.fsm.manipulation is Manipulation.TELEOP and bool(self._hand_contacts.contacts.any())
+        holding = self.fsm.manipulation is Manipulation.TELEOP and self._hand_contacts.touching
         controller.may_recover = self.fsm.locomotion in RECOVERING and not holding
         if controller.recovering is self._recovering:
             return

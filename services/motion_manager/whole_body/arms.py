@@ -40,14 +40,15 @@ class UpperBodyKinematics:
         feet = robot.tables.feet
         soles = [data.site_xpos[model.site(foot.sole)][2] for foot in (feet.left, feet.right)]
         self.nominal_com_height = float(self.com[2] - np.mean(soles))
-        self._last = np.full(self._upper.size, np.nan)
+        self._places = 7 + self._upper
+        self._last = b""
 
     def update(self, position: FloatArray) -> None:
         """Move the upper body to ``position``: (nj,) of the model's joints [rad], those of the legs unread."""
         upper = position[self._upper]
-        if (upper != self._last).any():
-            self._last = upper
-            self._data.qpos[7 + self._upper] = upper
+        if (numbers := upper.tobytes()) != self._last:
+            self._last = numbers
+            self._data.qpos[self._places] = upper
             self._evaluate()
 
     def com_displacement(self) -> FloatArray:

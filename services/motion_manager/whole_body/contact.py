@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body.state import FloatArray
 from valor_common.robot import Foot, RobotDescription
 
@@ -51,11 +53,12 @@ class FootContacts:
         self.points = np.array([contact_points(foot, table.contact_inset) for foot in (feet.left, feet.right)])
         self.count = 2 * GENERATORS
         self.forces = np.zeros((self.count, nv))
-        generators = np.array([sole_generators(points, table.friction).T for points in self.points])
-        self._in_sole = generators.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3).copy()  # foot, force|torque
+        self._in_sole = np.array([sole_generators(points, table.friction).T for points in self.points])
         self._in_odom = np.zeros((2, GENERATORS, 6))
         self._vertical = self._in_odom[:, :, 2]
-        self._parts = self._in_odom.reshape(2, GENERATORS, 2, 3).transpose(0, 2, 1, 3)
+        self._left, self._right = self.forces[:GENERATORS], self.forces[GENERATORS:]
+        self._rotation = np.zeros((2, 3, 3))
+        self._turn = Kernel("generators", self._expressions, (self._rotation,), (self._in_odom,))
 
     def upper(self, load: Sequence[float], weight: float) -> FloatArray:
         """(32,) upper bounds of the generators [N].
@@ -73,9 +76,18 @@ class FootContacts:
             sole_jacobian: (12, nv) left linear, left angular, right linear, right angular, in odom.
             sole_rotation: (2, 3, 3).
         """
-        np.matmul(self._in_sole, sole_rotation.transpose(0, 2, 1)[:, None], out=self._parts)
-        np.dot(self._in_odom[0], sole_jacobian[:6], self.forces[:GENERATORS])
-        np.dot(self._in_odom[1], sole_jacobian[6:], self.forces[GENERATORS:])
+        self._rotation[:] = sole_rotation
+        self._turn()
+        np.dot(self._in_odom[0], sole_jacobian[:6], self._left)
+        np.dot(self._in_odom[1], sole_jacobian[6:], self._right)
+
+    def _expressions(self, rotations: Expression) -> Sequence[Expression]:
+        """(32, 6) the generators of both feet in odom."""
+        turned = []
+        for foot, rotation in enumerate(ca.vertsplit(rotations, 3)):
+            generators = ca.DM(self._in_sole[foot])
+            turned.append(ca.horzcat(generators[:, :3] @ rotation.T, generators[:, 3:] @ rotation.T))
+        return [ca.vertcat(*turned)]
 
     def vertical_forces(self, rho: FloatArray) -> FloatArray:
         """(2,) vertical force of each foot [N]."""

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from operator import itemgetter
 from typing import NamedTuple
 
 import casadi as ca
@@ -46,11 +47,13 @@ _CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(
 for _pair in _CONTACTS:
     _pair.flags.writeable = False
 
-# What the second kernel tells of the state: fields of RobotState, and their shapes.
+# What the second kernel tells of the state: the last fields of RobotState in their order, and their shapes.
 _TOLD: dict[str, tuple[int, ...]] = {
+    "pelvis_rotation_in_odom": (3, 3),
+    "sole_positions_in_odom": (2, 3),
+    "sole_rotations_in_odom": (2, 3, 3),
     "pelvis_position_in_odom": (3,),
     "pelvis_orientation_in_odom": (4,),
-    "pelvis_rotation_in_odom": (3, 3),
     "pelvis_linear_velocity_in_odom": (3,),
     "pelvis_angular_velocity_in_pelvis": (3,),
     "com_in_odom": (3,),
@@ -59,8 +62,6 @@ _TOLD: dict[str, tuple[int, ...]] = {
     "contact_probability": (2,),
     "foot_forces": (2,),
     "cop_in_odom": (2,),
-    "sole_positions_in_odom": (2, 3),
-    "sole_rotations_in_odom": (2, 3, 3),
     "pelvis_position_variance": (3,),
     "pelvis_orientation_variance": (3,),
     "pelvis_linear_velocity_variance": (3,),
@@ -133,9 +134,7 @@ class FloatingBaseEstimator:
         self._told = np.zeros(sum(int(np.prod(shape)) for shape in _TOLD.values()))
         self._touching = np.zeros(2)
         ends = np.cumsum([0, *(np.prod(shape) for shape in _TOLD.values())]).tolist()
-        places = {name: slice(*pair) for name, pair in zip(_TOLD, pairwise(ends), strict=True)}
-        self._vectors = [(name, place) for name, place in places.items() if len(_TOLD[name]) == 1]
-        self._matrices = [(name, place, _TOLD[name]) for name, place in places.items() if len(_TOLD[name]) > 1]
+        self._fields = itemgetter(*(slice(*pair) for pair in pairwise(ends)))
         self._feel_motion = Kernel(
             "imu",
             self._by_imu,
@@ -187,17 +186,20 @@ class FloatingBaseEstimator:
         self._feel_motion()
         self.dynamics.evaluate()
         self._feel_ground()
-        told = self._told.copy()
+        # By position, for twenty fields by name take longer than to find what is in them.
+        turned, soles, sole_rotations, *vectors = self._fields(self._told.copy())
         left, right = self._touching.tolist()
         return RobotState(
-            time=proprioceptor.time,
-            joint_position=proprioceptor.joint_position,
-            joint_velocity=self._after.joint_velocity.copy(),
-            joint_effort=proprioceptor.joint_effort,
-            contacts=_CONTACTS[int(left + 2.0 * right)],
-            dynamics=self.dynamics,
-            **{name: told[place] for name, place in self._vectors},
-            **{name: told[place].reshape(shape) for name, place, shape in self._matrices},
+            proprioceptor.time,
+            proprioceptor.joint_position,
+            self._after.joint_velocity.copy(),
+            proprioceptor.joint_effort,
+            self.dynamics,
+            _CONTACTS[int(left + 2.0 * right)],
+            turned.reshape(3, 3),
+            soles.reshape(2, 3),
+            sole_rotations.reshape(2, 3, 3),
+            *vectors,
         )
 
     def _start(self, proprioceptor: Proprioceptor) -> None:

@@ -32,24 +32,24 @@ class RobotState:
     joint_position: FloatArray  # (n,) [rad]
     joint_velocity: FloatArray  # (n,) filtered [rad/s]
     joint_effort: FloatArray  # (n,) [N·m]
+    dynamics: Dynamics  # of the reduced model at this state
+    contacts: npt.NDArray[np.uint8]  # (2,) left, right foot: 1 in contact
+    pelvis_rotation_in_odom: FloatArray  # (3, 3)
+    sole_positions_in_odom: FloatArray  # (2, 3) left, right [m]
+    sole_rotations_in_odom: FloatArray  # (2, 3, 3) left, right
     pelvis_position_in_odom: FloatArray  # (3,) [m]
     pelvis_orientation_in_odom: FloatArray  # (4,) w, x, y, z
-    pelvis_rotation_in_odom: FloatArray  # (3, 3)
     pelvis_linear_velocity_in_odom: FloatArray  # (3,) [m/s]
     pelvis_angular_velocity_in_pelvis: FloatArray  # (3,) [rad/s]
     com_in_odom: FloatArray  # (3,) [m]
     com_velocity_in_odom: FloatArray  # (3,) [m/s]
     dcm_in_odom: FloatArray  # (3,) [m]
-    contacts: npt.NDArray[np.uint8]  # (2,) left, right foot: 1 in contact
     contact_probability: FloatArray  # (2,) that each foot stands still, 0 to 1
     foot_forces: FloatArray  # (2,) vertical, left and right [N]
     cop_in_odom: FloatArray  # (2,) [m]; NaN without contact
-    sole_positions_in_odom: FloatArray  # (2, 3) left, right [m]
-    sole_rotations_in_odom: FloatArray  # (2, 3, 3) left, right
     pelvis_position_variance: FloatArray  # (3,) along the axes of odom [m²]; grows with the way: it is odometry
     pelvis_orientation_variance: FloatArray  # (3,) about the axes of odom [rad²]
     pelvis_linear_velocity_variance: FloatArray  # (3,) [m²/s²]
-    dynamics: Dynamics  # of the reduced model at this state
 
     @property
     def q(self) -> FloatArray:
