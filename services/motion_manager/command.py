@@ -119,7 +119,7 @@ class MotorCommand:
             led_position = np.where(self.force, position, share * command.position + rest * position)
             led_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
             compliant_effort = share * command.effort + rest * effort
-        self._set(drive, position, velocity, compliant_effort, led_position, led_velocity)
+        self._set(drive, position, velocity, compliant_effort, (led_position, led_velocity))
 
     def repeat(self) -> None:
         """The last command once more, at rest and with damping: for a period without a better one."""
@@ -133,8 +133,7 @@ class MotorCommand:
         position: FloatVector,
         velocity: FloatVector,
         effort: FloatVector,
-        led_position: FloatVector | None = None,
-        led_velocity: FloatVector | None = None,
+        led: tuple[FloatVector, FloatVector] | None = None,
     ) -> None:
         """Take a command if it is finite, within the effort limits; else repeat the last.
 
@@ -143,10 +142,9 @@ class MotorCommand:
             position: (n,) [rad].
             velocity: (n,) [rad/s].
             effort: (n,) of compliant joints; of the others unused [N·m].
-            led_position, led_velocity: (n,) of the joints that the Whole-Body Controller leads; None: as the others.
+            led: (n,) position and velocity of the joints that the Whole-Body Controller leads; None: as the others.
         """
-        led = (position if led_position is None else led_position, velocity if led_velocity is None else led_velocity)
-        np.concatenate((position, velocity, effort, *led), out=self._wanted.reshape(-1))
+        np.concatenate((position, velocity, effort, *(led or (position, velocity))), out=self._wanted.reshape(-1))
         self._check()
         squares, beyond = self._checks.tolist()
         if not math.isfinite(squares):

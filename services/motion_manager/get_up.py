@@ -102,13 +102,12 @@ class GetUp:
         """Go on: next key pose, done, or given up."""
         assert self._move is not None
         pose = self._poses[self._stage]
-        _, roll = attitude(state)
+        pitch, roll = attitude(state)
         if self._table is not None and abs(roll) > self._table.roll:
             self.failure = f"{pose.name}: the pelvis rolled {roll:.0f}°; expected at most {self._table.roll:.0f}°"
             return
         if self._move.since_arrival(now) < pose.hold:
             return
-        pitch, _ = attitude(state)
         lower, upper = pose.pitch
         if not lower <= pitch <= upper:
             self.failure = f"after {pose.name} the pelvis is pitched {pitch:.0f}°; expected {lower:.0f} to {upper:.0f}°"

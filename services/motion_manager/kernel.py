@@ -63,7 +63,6 @@ class Kernel:
         for i, array in enumerate(outputs):
             buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
         self._alive = (buffer, inputs, outputs)  # what ``_evaluate`` works on
-        self.operations = function.n_instructions()
 
     def __call__(self) -> None:
         """Evaluate."""
@@ -80,6 +79,16 @@ def _shape(array: FloatVector) -> tuple[int, int]:
 def parts(column: Expression) -> Any:
     """The numbers of a column, one by one: what ``rotation`` takes for a quaternion or a vector."""
     return tuple(ca.vertsplit(column))
+
+
+def pieces(column: Expression, sizes: Sequence[int]) -> list[Expression]:
+    """A column cut into columns of these sizes, which are its own together."""
+    return list(ca.vertsplit(column, np.cumsum((0, *sizes)).tolist()))
+
+
+def by_rows(column: Expression) -> Expression:
+    """(3k,) numbers as a (k, 3) matrix, row by row, as NumPy's ``ravel`` has it."""
+    return ca.reshape(column, 3, column.shape[0] // 3).T
 
 
 def clipped(value: Expression, lower: Expression, upper: Expression) -> Expression:

@@ -208,11 +208,12 @@ class MotionManager:
             return
         before, self._time = self._time, proprioceptor.time
         gap = self._watchdog.discontinuity(proprioceptor)
-        if gap or not self.in_control:
+        taken_over = gap is not None or not self.in_control
+        if taken_over:
             self._begin()
             before = self._time
         state = self._state = self._estimator.update(proprioceptor)
-        if gap or not self.in_control:
+        if taken_over:
             self._take_over(gap, state)
         self._watch(state)
         if self.fsm.behavior is Behavior.IDLE and not self.in_control:
@@ -373,7 +374,8 @@ class MotionManager:
             state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt
         )
         share = min(1.0, (now - self._blend_began) / BLEND)
-        self._command.balance(command, reference.position, reference.velocity, self._posture.effort(now), share)
+        effort = self._posture.effort(now) if share < 1.0 else self._zeros  # by then it counts no more
+        self._command.balance(command, reference.position, reference.velocity, effort, share)
         self._qp_failures = self._qp_failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0
         if self._qp_failures >= QP_FAILURES_TO_STOP and self.fsm.may_go(Behavior.SOFT_STOP):
             self.fsm.go(

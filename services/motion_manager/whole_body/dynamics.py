@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel, parts
+from motion_manager.kernel import Expression, Kernel, by_rows, parts
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.rotation import Quaternion
 from motion_manager.whole_body.state import FloatArray
@@ -245,7 +245,7 @@ class Dynamics:
             at_sole = acceleration[3:] + ca.cross(acceleration[:3], arm) + ca.cross(turning, moving)
             drift += [at_sole - up, acceleration[:3]]
         pelvis = ca.horzcat(ca.SX(3, 3), turned, ca.SX(3, self.velocity.size - 6))
-        rotations = (ca.reshape(numbers, 3, 3).T for numbers in soles[6:])
+        rotations = (by_rows(numbers) for numbers in soles[6:])
         return (
             turned,
             ca.vertcat(linear / self.mass, momentum),

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel, parts
+from motion_manager.kernel import Expression, Kernel, parts, pieces
 from motion_manager.whole_body import attitude, foot_contact, rotation
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.attitude import Attitude
@@ -102,8 +102,7 @@ class Measured(NamedTuple):
     @classmethod
     def of(cls, numbers: Expression, joints: int) -> Measured:
         """From (22 + 2n,) numbers, one field after another."""
-        ends = np.cumsum((0, 4, 3, 3, 6, 6, joints, joints)).tolist()
-        return cls(*ca.vertsplit(numbers, ends))
+        return cls(*pieces(numbers, (4, 3, 3, 6, 6, joints, joints)))
 
 
 class FloatingBaseEstimator:

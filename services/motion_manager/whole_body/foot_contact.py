@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from motion_manager.kernel import Expression
+from motion_manager.kernel import Expression, by_rows
 from valor_common.robot import Foot
 
 SURPRISE_TIME = 0.02  # over which surprise is averaged, so that noise alone is none [s]
@@ -26,7 +26,7 @@ class Past(NamedTuple):
     @classmethod
     def of(cls, numbers: Expression) -> Past:
         """From (12,) numbers, one field after another, row by row."""
-        return cls(numbers[0], numbers[1], numbers[2], ca.reshape(numbers[3:12], 3, 3).T)
+        return cls(numbers[0], numbers[1], numbers[2], by_rows(numbers[3:12]))
 
     @property
     def numbers(self) -> Expression:

@@ -132,7 +132,7 @@ class PelvisReference:
             self._still = self._legs.solved and not fresh and not limiter.velocity.any()
             return
         self._take()
-        self.angular_velocity = rotation.error(self.rotation, turned) / dt
+        self.angular_velocity = np.array(rotation.error(self.rotation, turned)) / dt
         self._legs.update(limiter.position, self.rotation)
 
     def _take(self) -> None:

@@ -1,7 +1,7 @@
 """Rotations as the control loop needs them: quaternions (w, x, y, z) as tuples of floats.
 
-Python floats, for a NumPy call on four numbers costs more than the arithmetic. What multiplies and turns quaternions
-does it to expressions of ``kernel``, too.
+Python floats, for a NumPy call on four numbers costs more than the arithmetic. What multiplies and turns quaternions,
+and ``error``, do it to expressions of ``kernel``, too.
 """
 
 from __future__ import annotations
@@ -100,10 +100,10 @@ def yaw_matrix(angle: float) -> FloatArray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def error(desired: FloatArray, actual: FloatArray) -> FloatArray:
-    """(3,) rotation from ``actual`` to ``desired`` in the axes both are given in: sin(θ)·axis [rad]."""
+def error(desired: FloatArray, actual: FloatArray) -> Vector:
+    """The rotation from ``actual`` to ``desired`` in the axes both are given in: sin(θ)·axis [rad]."""
     e = desired @ actual.T
-    return np.array((0.5 * (e[2, 1] - e[1, 2]), 0.5 * (e[0, 2] - e[2, 0]), 0.5 * (e[1, 0] - e[0, 1])))
+    return 0.5 * (e[2, 1] - e[1, 2]), 0.5 * (e[0, 2] - e[2, 0]), 0.5 * (e[1, 0] - e[0, 1])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -114,7 +114,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
     """(3,) axis·θ [rad] of a (3, 3) rotation below π (for set-up, not for the loop)."""
-    sine = error(rotation, np.eye(3))
+    sine = np.array(error(rotation, np.eye(3)))
     norm = float(np.linalg.norm(sine))
     angle = atan2(norm, 0.5 * (float(np.trace(rotation)) - 1.0))
     return sine * (angle / norm) if norm > 1e-12 else sine

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel, clipped
-from motion_manager.whole_body import stance
+from motion_manager.kernel import Expression, Kernel, by_rows, clipped, pieces
+from motion_manager.whole_body import rotation, stance
 from motion_manager.whole_body.arms import UpperBodyKinematics
 from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
@@ -195,12 +195,12 @@ class Wishes:
     def _expressions(self, *symbols: Expression) -> Sequence[Expression]:
         state, memory, led, arms_com, chest, legs_led, legs_start, gait, swing, asked, measured, *own, dt = symbols
         position, velocity = own
-        soles, rotations, com, dcm, moving, rates, *turned = _split(state, _STATE)
-        feet = Feet(_rows(soles), _rows(rotations))
-        time, support, shift, offsets, integral, kept = _split(memory, _MEMORY)
-        begun = Begun(time, support, _rows(shift), _rows(offsets))
-        turn, turning, com_led = _split(led, (9, 3, 3))
-        leading = Led(_rows(turn), turning, com_led, arms_com - ca.DM(self._upper_body.nominal_com), chest)
+        soles, rotations, com, dcm, moving, rates, *turned = pieces(state, _STATE)
+        feet = Feet(by_rows(soles), by_rows(rotations))
+        time, support, shift, offsets, integral, kept = pieces(memory, _MEMORY)
+        begun = Begun(time, support, by_rows(shift), by_rows(offsets))
+        turn, turning, com_led = pieces(led, (9, 3, 3))
+        leading = Led(by_rows(turn), turning, com_led, arms_com - ca.DM(self._upper_body.nominal_com), chest)
         begun, reference = self._reference.advance(begun, feet, leading, (gait[0], gait[1:4], gait[4:]), dt)
 
         table = self._table
@@ -210,7 +210,7 @@ class Wishes:
         point, integral = self._law.repellent_point(dcm, reference.dcm, reference.vrp, integral, dt)
         wanted[COM] = self._law.acceleration(com, point)
         for rows, desired, actual in ((CHEST, reference.chest, turned[0]), (PELVIS, reference.pelvis, turned[1])):
-            wanted[rows] = table.orientation_stiffness * _error(desired, _rows(actual))
+            wanted[rows] = table.orientation_stiffness * ca.vertcat(*rotation.error(desired, by_rows(actual)))
             wanted[rows] += table.orientation_damping * (reference.turning - velocities[rows])
         wanted[SOLES] = -table.foot_damping * velocities[SOLES]
         kept = ca.if_else(gait[0], stance.stance(feet), kept)  # that of the last step
@@ -231,11 +231,11 @@ class Wishes:
 
     def _along(self, foot: int, feet: Feet, swing: Expression, velocity: Expression) -> Expression:
         """(6,) of the swinging sole: a_ref + k_p·(x_ref − x) + k_d·(v_ref − v)."""
-        place, turn, rate, acceleration = _split(swing, _SWING)
+        place, turn, rate, acceleration = pieces(swing, _SWING)
         away = place - feet.positions[foot, :].T
-        turned = _error(_rows(turn), feet.rotations[3 * foot : 3 * foot + 3, :])
+        turned = rotation.error(by_rows(turn), feet.rotations[3 * foot : 3 * foot + 3, :])
         stiffness, damping = self._walking.foot_stiffness, self._walking.foot_damping
-        return acceleration + stiffness * ca.vertcat(away, turned) + damping * (rate - velocity)
+        return acceleration + stiffness * ca.vertcat(away, *turned) + damping * (rate - velocity)
 
     def _posture(self, asked: Expression, legs: Expression, position: Expression, velocity: Expression) -> Expression:
         """(nj,) q̈_ref + k_d·(q̇_ref + clip(k_p/k_d·(q_ref − q)) − q̇)."""
@@ -244,16 +244,6 @@ class Wishes:
         places[self._legs], rate[self._legs], acceleration[self._legs] = legs, 0.0, 0.0
         catch_up = clipped(stiffness / damping * (places - position), -self._catch_up, self._catch_up)
         return acceleration + damping * (rate + catch_up - velocity)
-
-
-def _split(numbers: Expression, sizes: Sequence[int]) -> list[Expression]:
-    """Columns of these sizes."""
-    return list(ca.vertsplit(numbers, np.cumsum((0, *sizes)).tolist()))
-
-
-def _rows(numbers: Expression) -> Expression:
-    """(3k,) numbers as a matrix with rows of three."""
-    return ca.reshape(numbers, 3, numbers.shape[0] // 3).T
 
 
 def _numbers(begun: Begun) -> Expression:
@@ -265,9 +255,3 @@ def _with_pelvis(velocity: Expression) -> Expression:
     """(24,) what the pelvis' linear velocity (3,) adds to the tasks' velocities."""
     still = ca.SX.zeros(3)
     return ca.vertcat(velocity, still, still, still, velocity, still, velocity, still)
-
-
-def _error(desired: Expression, actual: Expression) -> Expression:
-    """(3,) rotation from ``actual`` to ``desired`` in the axes both are given in: sin(θ)·axis [rad]."""
-    e = desired @ actual.T
-    return 0.5 * ca.vertcat(e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1])
