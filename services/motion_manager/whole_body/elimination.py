@@ -14,7 +14,10 @@ and putting that back leaves a QP in z with simple bounds, which is feasible wha
 
     min ½·(B·z − r)ᵀ·S⁻¹·(B·z − r) + ½ε‖ρ‖²,   r = e + C·K·g,   0 ≤ ρ ≤ ρ_max,   l ≤ y ≤ u
 
-It has the full problem's optimum. Limits that the optimum keeps anyway need no y: begin with none.
+It has the full problem's optimum. Limits that the optimum keeps anyway need no y: begin with none. And where the feet
+push everywhere anyway, as under a robot at rest, ρ ≥ 0 is none either, and six equations are all that is left:
+
+    ρ = Bᵀ·μ,   (B·Bᵀ + ε·S)·μ = r,   λ = −ε·μ
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from motion_manager.whole_body.state import FloatArray
 
@@ -60,6 +63,35 @@ class Elimination:
         if info != 0:
             raise UnsolvableError("the objective's Hessian is not positive definite")
         self._gradient = gradient
+        self._response: tuple[FloatArray, FloatArray] | None = None  # of the pelvis rows alone
+
+    def unbounded(self, mass_rows: FloatArray, bias: FloatArray, forces: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(nρ,) ρ and (nv,) v̇ of the problem without a limit, not even ρ ≥ 0; not finite where there is none.
+
+        Args:
+            mass_rows: (6, nv) M_b.
+            bias: (6,) h_b.
+            forces: (nρ, nv) W.
+        """
+        solved, products = self._response = self._respond(mass_rows)
+        base = forces[:, :6]
+        system = np.dot(base.T, base)
+        system += FORCE_REGULARIZATION * products[:, :6]
+        _, multiplier, info = dposv(system, products[:, 6] + bias, lower=1, overwrite_a=1, overwrite_b=1)
+        if info != 0:
+            multiplier.fill(np.nan)
+        acceleration = solved[:, :6] @ (-FORCE_REGULARIZATION * multiplier)
+        acceleration += solved[:, 6]
+        return base @ multiplier, acceleration
+
+    def _respond(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(nv, n+1) K·[Cᵀ, g] and (n, n+1) C·K·[Cᵀ, g], for n rows C."""
+        n = rows.shape[0]
+        right = np.empty((self._gradient.shape[0], n + 1), order="F")
+        right[:, :n] = rows.T
+        right[:, n] = self._gradient
+        solved, _ = dpotrs(self._factor, right, lower=1, overwrite_b=1)
+        return solved, rows @ solved
 
     def reduce(
         self, mass_rows: FloatArray, bias: FloatArray, forces: FloatArray, limit: Limit | None = None
@@ -88,11 +120,7 @@ class Elimination:
             effect[6:, :count] = limit.forces
             effect[range(6, 6 + k), range(count, count + k)] = 1.0
         n = rows.shape[0]
-        right = np.empty((self._gradient.shape[0], n + 1), order="F")
-        right[:, :n] = rows.T
-        right[:, n] = self._gradient
-        solved, _ = dpotrs(self._factor, right, lower=1, overwrite_b=1)
-        products = rows @ solved  # C·K·[Cᵀ, g]
+        solved, products = (self._response if limit is None else None) or self._respond(rows)
         compliance, info = dpotrf(products[:, :n], lower=1, clean=0)
         if info != 0:
             raise UnsolvableError("the constraints are not independent")

@@ -2,7 +2,8 @@
 
 DAQP (Arnström, Bemporad & Axehill 2022) is a dual active-set method; it is called natively. Limits of joints join the
 problem only when its solution without them breaks them, one round after another until none is broken. A foot that shall
-not push is no part of the problem at all.
+not push is no part of the problem at all. And while no generator is at a bound, as nearly always when the robot stands,
+the optimum without bounds is the optimum: it is tried first when it was so in the period before, and needs no solver.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ class ContactForceQp:
         n = self._joints
         self._given = np.zeros((9, n))
         self._values, self._excess = np.zeros(2 * n), np.zeros(2)
+        self._pushes_freely = True  # whether no generator was at a bound in the period before
         self._check = Kernel("limits", self._expressions, (self._given,), (self._values, self._excess))
         self.limit_forces(np.full(generators, UNBOUNDED))
 
@@ -74,6 +76,7 @@ class ContactForceQp:
         self._pushing = slice(int(pushing[0]), int(pushing[-1]) + 1) if pushing.size else slice(None)
         self._upper = upper[self._pushing]
         self._lower = np.zeros(self._upper.size)
+        self._upper_bounded = bool((self._upper < UNBOUNDED).any())
         self._no_rows = np.empty((0, self._upper.size))
 
     def solve(self, objective: Objective, dynamics: Dynamics, forces: FloatArray, bounds: Bounds) -> Solution:
@@ -94,9 +97,15 @@ class ContactForceQp:
         joined, others = self._none, bounds.others
         for _ in range(ROUNDS):
             limit = self._limit(dynamics, forces, joined, others) if joined.size else None
-            reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
-            z = self._minimum(reduced, bounds, joined)
-            acceleration, pushes = reduced.acceleration(z), z[: self._upper.size]
+            free = self._free(elimination, dynamics, forces) if limit is None and self._pushes_freely else None
+            if free is None:
+                reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
+                z = self._minimum(reduced, bounds, joined)
+                acceleration, pushes = reduced.acceleration(z), z[: self._upper.size]
+                if limit is None:
+                    self._pushes_freely = self._within(pushes)
+            else:
+                pushes, acceleration = free
             np.concatenate(
                 (
                     mass[6:] @ acceleration,
@@ -133,6 +142,18 @@ class ContactForceQp:
         lower, upper = (ca.vec(given[i : i + 2, :].T) for i in (5, 7))
         excess = functools.reduce(ca.fmax, ca.vertsplit(ca.fmax(values - upper, lower - values)))
         return values, ca.vertcat(excess, ca.sumsqr(values))
+
+    def _free(
+        self, elimination: Elimination, dynamics: Dynamics, forces: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Forces along the pushing generators and accelerations, if no bound of the forces makes any difference."""
+        found = elimination.unbounded(dynamics.mass_matrix[:6], dynamics.bias[:6], forces)
+        return found if self._within(found[0]) else None
+
+    def _within(self, pushes: FloatArray) -> bool:
+        """Whether forces are within their bounds, and numbers."""
+        lowest = float(np.minimum.reduce(pushes))
+        return lowest > 0.0 and not (self._upper_bounded and bool((pushes >= self._upper).any()))
 
     def _all(self, pushes: FloatArray) -> FloatArray:
         """(nρ,) of both feet."""

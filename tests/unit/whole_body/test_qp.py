@@ -12,6 +12,7 @@ from motion_manager.whole_body.contact import FootContacts, contact_points, sole
 from motion_manager.whole_body.dynamics import SOLES, Dynamics
 from motion_manager.whole_body.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
 from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
+from motion_manager.whole_body.rotation import IDENTITY
 from motion_manager.whole_body.state import QpStatus
 from motion_manager.whole_body.tasks import Objective
 from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
@@ -173,6 +174,35 @@ def test_with_limits_of_what_several_joints_do(random_problem: Problem, torque: 
     assert solution.status == QpStatus.LIMITED
     assert {2 * n, 2 * n + 1} <= set(solution.limits.tolist())
     assert_optimal(random_problem, bounds, solution)
+
+
+def test_while_the_feet_push_everywhere_the_optimum_needs_no_solver(
+    robot: RobotDescription, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At rest in the nominal posture, wanting to stay so: six equations give what the solver gives."""
+    standing = problem(robot, model, next(iter(random_states(model, 1, seed=0))), 0)
+    dynamics, n = standing.dynamics, len(standing.damping)
+    dynamics.update(IDENTITY, np.zeros(3), robot.nominal_posture[dynamics.joints.places], np.zeros(n))
+    standing.objective.update(dynamics, np.zeros(24), np.zeros(n))
+    standing.contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+    acceleration, rho, _ = standing.solve_in_full(standing.unbounded())
+    solver = daqp.solve
+
+    def refuse(*arguments: object, **settings: object) -> None:
+        raise AssertionError("the solver was asked")
+
+    monkeypatch.setattr(daqp, "solve", refuse)
+    solution = standing.solve(standing.unbounded())
+    assert solution.status == QpStatus.OPTIMAL
+    assert (solution.rho > 0.0).all()
+    np.testing.assert_allclose(solution.acceleration, acceleration, atol=1e-5)
+    np.testing.assert_allclose(solution.rho, rho, atol=1e-4)
+    # As soon as a generator is at its bound, the solver decides.
+    standing.qp.limit_forces(np.full(standing.contacts.count, 0.9 * rho.max()))
+    with pytest.raises(AssertionError, match="the solver was asked"):
+        standing.solve(standing.unbounded())
+    monkeypatch.setattr(daqp, "solve", solver)
+    assert standing.solve(standing.unbounded()).rho.max() == pytest.approx(0.9 * rho.max())
 
 
 def test_a_foot_that_shall_not_push_does_not(random_problem: Problem) -> None:
