@@ -55,6 +55,11 @@ class Settings(Table, kw_only=True):
     bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
     recording: Recording = Recording()
 
+    @property
+    def paced(self) -> bool:
+        """Whether robot time is kept to the wall's, in some proportion, and not simulated as fast as it goes."""
+        return self.variant == "hardware" or self.clock == "realtime" or self.real_time_factor > 0.0
+
     def json(self) -> str:
         """As ``instance.json`` holds them."""
         return msgspec.json.format(msgspec.json.encode(plain(self)).decode(), indent=2) + "\n"

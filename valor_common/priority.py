@@ -1,4 +1,7 @@
-"""How control goes before other work: by nice values on hardware, and in real time where a loop must not wait."""
+"""How control goes before other work: by nice values on hardware, in real time where a loop must not wait, by cores.
+
+In a simulation a control loop is quicker by a tenth where less of others' work comes and goes in its core's caches.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
+
+from valor_common.processes import Cores
 
 _AUTOGROUP = Path("/proc/self/autogroup")
 
@@ -21,6 +26,33 @@ def take_priority(niceness: int) -> None:
     with contextlib.suppress(OSError, ValueError):
         if int(_AUTOGROUP.read_text().split()[-1]) > niceness:
             _AUTOGROUP.write_text(str(niceness))
+
+
+def own_core() -> int | None:
+    """Of the cores that this process may use, the one that a control loop has to itself; None: there is one only."""
+    cores = os.sched_getaffinity(0)
+    return max(cores) if len(cores) > 1 else None
+
+
+def take_cores(cores: Cores) -> int | None:
+    """Stay on the core that a control loop has to itself, or off it, with all threads that are started from now on.
+
+    Args:
+        cores: which of the two, or any.
+
+    Returns:
+        The loop's core; None: nobody has one, for there is one only or the system does not grant it.
+    """
+    core = own_core()
+    if core is None:
+        return None
+    if cores != "any":
+        mine = {core} if cores == "own" else os.sched_getaffinity(0) - {core}
+        try:
+            os.sched_setaffinity(0, mine)
+        except OSError:
+            return None
+    return core
 
 
 def take_real_time(priority: int) -> bool:

@@ -24,8 +24,8 @@ import bifrost
 from valor_common.errors import ConfigurationError
 from valor_common.instance import Instance, Settings
 from valor_common.messages import Statistics
-from valor_common.priority import take_priority
-from valor_common.processes import BY_NAME
+from valor_common.priority import take_cores, take_priority
+from valor_common.processes import BY_NAME, Process
 from valor_common.robot import RobotDescription
 from valor_common.topics import STATISTICS
 
@@ -44,12 +44,23 @@ class Context:
         self.name = name
         self.instance = instance
         self.settings: Settings = instance.settings()
+        process = BY_NAME[name]
         if self.settings.variant == "hardware":
-            take_priority(BY_NAME[name].priority)
+            take_priority(process.priority)
+        elif self.settings.paced:
+            self._take_cores(process)
         self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
         self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
         self.statistics = StatisticsPublisher(self.node, name, self.robot.control_period)
+
+    @staticmethod
+    def _take_cores(process: Process) -> None:
+        """Before any thread is started, for threads stay where they are started."""
+        core = take_cores(process.cores)
+        if process.cores == "own":
+            what = "no core of its own: there is one only, or it is not granted" if core is None else f"on core {core}"
+            logging.getLogger(process.name).info("%s", what)
 
     def __enter__(self) -> Self:
         return self

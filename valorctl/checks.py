@@ -20,7 +20,7 @@ import psutil
 import bifrost
 from valor_common.errors import ValorError
 from valor_common.instance import Instance
-from valor_common.priority import granted
+from valor_common.priority import granted, own_core
 from valor_common.processes import PROCESSES
 from valorctl import leftovers, ros_domain, supervisor_config
 from valorctl.supervision import Supervisor
@@ -205,7 +205,10 @@ def _processor(_: Instance) -> Finding:
     if slow := governors - {"performance", "schedutil"}:
         advice = "cpupower frequency-set -g performance steadies the control loop"
         return Finding("processor", "warn", f"{cores} cores, governor {', '.join(sorted(slow))}", advice)
-    return Finding("processor", "ok", f"{cores} cores, governor {', '.join(sorted(governors)) or 'not adjustable'}")
+    governor = ", ".join(sorted(governors)) or "not adjustable"
+    own = [process.name for process in PROCESSES if process.cores == "own"]
+    share = f"{' and '.join(own)} on core {own_core()} in simulation, and others off it"
+    return Finding("processor", "ok", f"{cores} cores, governor {governor}; {share}")
 
 
 def _real_time(_: Instance) -> Finding:

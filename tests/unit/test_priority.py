@@ -40,3 +40,30 @@ def test_a_loop_goes_first_and_its_other_threads_next_or_all_stay_as_they_are(pr
     )
     expected = ["True True 3", "True True 2"] if priority and _granted() else ["False False 0"] * 2
     assert result.stdout.splitlines() == expected
+
+
+_CORES = """
+import os, sys, threading
+from valor_common.priority import take_cores
+
+os.sched_setaffinity(0, set(map(int, sys.argv[2].split(","))))
+core = take_cores(sys.argv[1])
+found = []
+thread = threading.Thread(target=lambda: found.append(os.sched_getaffinity(0)))
+thread.start()
+thread.join()
+print(core, sorted(found[0]))
+"""
+
+
+@pytest.mark.parametrize("cores", ["own", "others", "any"])
+def test_one_has_the_last_core_and_the_rest_keep_off_it_if_there_are_two(cores: str) -> None:
+    def found(given: list[int]) -> str:
+        command = [sys.executable, "-c", _CORES, cores, ",".join(map(str, given))]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=60.0).stdout.strip()
+
+    given = sorted(os.sched_getaffinity(0))
+    assert found(given[:1]) == f"None {given[:1]}"
+    if len(given) > 1:
+        expected = {"own": given[-1:], "others": given[:-1], "any": given}[cores]
+        assert found(given) == f"{given[-1]} {expected}"
