@@ -130,33 +130,40 @@ class MotionManagerService:
         self._wait_for_robot(f"no {PROPRIOCEPTOR.name} yet")
         heard = time.monotonic()
         while not self._context.stopping.is_set():
-            received = self._proprioceptor.receive(0.0)
-            waiting = self._inputs.look(NAP if received is None else 0.0)
-            if received is None and self._proprioceptor in waiting:
-                received = self._proprioceptor.receive(0.0)
+            proprioceptor, began, waiting = self._wait()
             for item in waiting:
                 if item in self._commands:
                     self._commands[item]()
-            if received is not None and received.origin != PROPRIOCEPTOR.publisher:
-                # A bag played back into a running system must not be taken for the robot.
-                reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.publisher}"
-                self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
-                received = None
-            began = 0.0
-            if received is not None:
-                heard = began = received.arrived * 1e-9
-                self._tick(received.message, began)
+            if proprioceptor is not None:
+                self._tick(proprioceptor, began)
             for item in waiting:
                 if item in self._requests:
                     self._requests[item]()
             self._attend()
-            if received is not None:
+            if proprioceptor is not None:
+                heard = began
                 self._statistics.cycle(began)
                 self._tick_time = time.monotonic() - began
                 continue
             if time.monotonic() - heard > SILENCE:
                 self._wait_for_robot(f"{PROPRIOCEPTOR.name} is silent: is the Comms Manager running?")
             self._statistics.idle()
+
+    def _wait(self) -> tuple[Proprioceptor | None, float, list[Input]]:
+        """Wait for something to come: the robot's Proprioceptor, when it was noticed [s], and all inputs to look at."""
+        received = self._proprioceptor.receive(0.0)  # come during the tick
+        waiting = self._inputs.look(NAP if received is None else 0.0)
+        woken = time.monotonic()
+        if received is None and self._proprioceptor in waiting:
+            received = self._proprioceptor.receive(0.0)
+        if received is None:
+            return None, woken, waiting
+        if received.origin != PROPRIOCEPTOR.publisher:
+            # A bag played back into a running system must not be taken for the robot.
+            reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.publisher}"
+            self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
+            return None, woken, waiting
+        return received.message, min(woken, received.arrived * 1e-9), waiting
 
     def close(self) -> None:
         """The node itself belongs to the context."""
