@@ -60,7 +60,7 @@ class JointReference:
 
     @property
     def position(self) -> FloatVector:
-        """(n,) commanded [rad]; a new array every period."""
+        """(n,) commanded [rad]; a new array whenever it changes."""
         return self._limiter.position
 
     @property

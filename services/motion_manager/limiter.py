@@ -45,6 +45,7 @@ class Limiter:
         self.acceleration = np.zeros(n)
         self._asked, self._dt, self._next = np.zeros((4, n)), np.zeros(1), np.zeros((3, n))
         self._evaluate = Kernel("limiter", self._expressions, (self._asked, self._dt), (self._next,))
+        self._before = b""  # what was asked last; empty: not by what it gave
 
     def reset(self, joints: npt.NDArray[np.bool_], position: FloatVector) -> None:
         """Take some up, at rest, where they are found.
@@ -53,6 +54,7 @@ class Limiter:
             joints: (n,) which ones.
             position: (n,) where.
         """
+        self._before = b""
         self.position = np.where(joints, position, self.position)
         self.velocity = np.where(joints, 0.0, self.velocity)
         self.acceleration = np.where(joints, 0.0, self.acceleration)
@@ -77,6 +79,9 @@ class Limiter:
             dt: the period [s].
         """
         np.concatenate((target, target_velocity, self.position, self.velocity), out=self._asked.reshape(-1))
+        if (asked := self._asked.tobytes()) == self._before and dt == self._dt[0]:
+            return  # at rest on its target
+        self._before = asked
         self._dt[0] = dt
         self._evaluate()
         self.position, self.velocity, self.acceleration = self._next.copy()

@@ -61,6 +61,19 @@ def test_no_target_however_wild_makes_a_joint_pass_a_limit(seed: int, targets: l
             watch.step(limiter.position, limiter.velocity)
 
 
+def test_taken_up_where_it_was_it_sets_out_again_as_before() -> None:
+    """What is asked is then what was asked before, and yet not where it has come to."""
+    limiter = JointLimiter(ROBOT)
+    start, still, everything = limiter.position.copy(), np.zeros(N), np.ones(N, dtype=bool)
+    goal = np.clip(start + 0.3, ROBOT.lower, ROBOT.upper)
+    limiter.advance(goal, still, DT)
+    once = limiter.position.copy()
+    assert not np.array_equal(once, start)
+    limiter.reset(everything, start)
+    limiter.advance(goal, still, DT)
+    np.testing.assert_array_equal(limiter.position, once)
+
+
 def test_a_step_is_reached_without_overshoot_as_fast_as_the_limits_allow() -> None:
     limiter = JointLimiter(ROBOT)
     start = limiter.position.copy()
