@@ -78,7 +78,7 @@ BEHAVIOR_TRANSITIONS: Mapping[Behavior, Mapping[Behavior, str]] = {
     _B.WALK: {_B.STAND: "P", _B.WALK_MANIPULATE: "T", _B.SOFT_STOP: "T", _B.FALL: "T"},
     _B.WALK_MANIPULATE: {_B.STAND: "I2", _B.WALK: "T", _B.SOFT_STOP: "T", _B.FALL: "T"},
     _B.SOFT_STOP: {_B.STAND: "I", _B.FREEZE: "I", _B.FALL: "I"},
-    _B.FREEZE: {_B.IDLE: "I", _B.STAND_PREP: "P"},
+    _B.FREEZE: {_B.IDLE: "I", _B.STAND_PREP: "P", _B.FALL: "I"},
     _B.FALL: {_B.FREEZE: "I", _B.GET_UP: "T"},
     _B.GET_UP: {_B.STAND_PREP: "I", _B.FALL: "I"},
 }  # fmt: skip
@@ -91,7 +91,7 @@ LOCOMOTION_TRANSITIONS: Mapping[Locomotion, Mapping[Locomotion, str]] = {
     _L.STEP: {_L.STAND: "P", _L.SOFT_STOP: "T", _L.FALL: "T"},
     _L.WALK: {_L.STAND: "P", _L.SOFT_STOP: "T", _L.FALL: "T"},
     _L.SOFT_STOP: {_L.STAND: "I", _L.FREEZE: "I", _L.FALL: "I"},
-    _L.FREEZE: {_L.STAND_PREP: "P", _L.IDLE: "I"},
+    _L.FREEZE: {_L.STAND_PREP: "P", _L.IDLE: "I", _L.FALL: "I"},
     _L.FALL: {_L.GET_UP: "T", _L.FREEZE: "I"},
     _L.GET_UP: {_L.STAND_PREP: "I", _L.FALL: "I"},
 }  # fmt: skip

@@ -279,8 +279,8 @@ class MotionManager:
                 self._fall(self._falling)
 
     def _fall(self, reason: str) -> None:
-        """Fall-safe, from wherever there is an edge to it."""
-        if self.fsm.may_go(Behavior.FALL):
+        """Fall-safe, from wherever there is an edge to it; one that is frozen goes on being held."""
+        if self.fsm.may_go(Behavior.FALL) and self.fsm.behavior is not Behavior.FREEZE:
             self.fsm.go(Behavior.FALL, reason)
 
     def _enter(self, state: RobotState, now: float) -> None:

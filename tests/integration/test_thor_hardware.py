@@ -11,9 +11,9 @@ import pytest
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
 from valor_common.devices.table import Dynamixel
-from valor_common.messages import JointSetpoints, Proprioceptor
+from valor_common.messages import FaultReply, FaultRequest, JointSetpoints, Proprioceptor
 from valor_common.robot import RobotDescription
-from valor_common.topics import JOINT_SETPOINTS, PROPRIOCEPTOR
+from valor_common.topics import FAULT, JOINT_SETPOINTS, PROPRIOCEPTOR
 
 ROBOT = RobotDescription.load(ROBOTS / "thor")
 SPEED = 1.0  # of what is commanded [rad/s]
@@ -84,3 +84,24 @@ def test_the_lidar_turns_at_its_speed(thor: Thor) -> None:
         turned += math.remainder(following.joint_position[place] - last.joint_position[place], 2.0 * math.pi)
         last = following
     assert turned / (1e-9 * (last.time - first.time)) == pytest.approx(servo.spin, rel=0.2)
+
+
+def test_legs_that_lost_their_power_for_a_moment_have_the_robot_go_limp(thor: Thor) -> None:
+    """The last one: it lies afterwards. Nobody was silent; the first that is off has it held, the second lets it go."""
+    thor.go("stand")
+    fault = thor.node.client(FAULT.name, FaultRequest, FaultReply)
+    legs = [unit for unit in thor.status.units if unit.startswith("legs/")]
+    for unit in legs[:4]:
+        reply = fault.call(FaultRequest("legs", unit.removeprefix("legs/"), "unplugged", 0.05), timeout=PATIENCE)
+        assert reply.accepted, reply.reason
+    wait_until(lambda: thor.behavior == "fall", PATIENCE, "it falls")
+    assert "its motors are off: it had lost its power" in thor.state.reason
+    assert "without motors: the robot goes limp" in thor.running.log("comms_manager")
+
+    def on_again() -> bool:
+        status = thor.status
+        return all(status.states[status.units.index(unit)] == "ok" for unit in legs)
+
+    wait_until(on_again, PATIENCE, "its motors are on again, as limp moves nothing")
+    wait_until(lambda: thor.status.reaction == "keep_balance", PATIENCE, "nothing more is demanded")
+    assert thor.behavior == "fall"

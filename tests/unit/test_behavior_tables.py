@@ -40,7 +40,7 @@ step_manipulate   .    .          I2    .                T    -               . 
 walk              .    .          P     .                .    .               -    T               T         .      T    .
 walk_manipulate   .    .          I2    .                .    .               T    -               T         .      T    .
 soft_stop         .    .          I     .                .    .               .    .               -         I      I    .
-freeze            I    P          .     .                .    .               .    .               .         -      .    .
+freeze            I    P          .     .                .    .               .    .               .         -      I    .
 fall              .    .          .     .                .    .               .    .               .         I      -    T
 get_up            .    I          .     .                .    .               .    .               .         .      I    -
 """  # noqa: E501

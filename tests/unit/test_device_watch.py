@@ -225,8 +225,11 @@ def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, react
         Behavior.IDLE: Behavior.IDLE,
         Behavior.FALL: Behavior.FALL,
         Behavior.GET_UP: Behavior.GET_UP if reaction == "soft_stop" else Behavior.FALL,
-        Behavior.FREEZE: Behavior.FREEZE,
-        Behavior.STAND_PREP: Behavior.STAND_PREP if reaction == "soft_stop" else Behavior.FREEZE,
+        Behavior.FREEZE: Behavior.FALL if reaction == "limp" else Behavior.FREEZE,
+        # Held on its way to limp: there is no other from where nobody balances.
+        Behavior.STAND_PREP: {"soft_stop": Behavior.STAND_PREP, "hold": Behavior.FREEZE, "limp": Behavior.FALL}[
+            reaction
+        ],
         Behavior.SOFT_STOP: balancing,
     }.get(start, balancing)
     assert fsm.behavior is expected

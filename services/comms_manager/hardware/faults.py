@@ -185,11 +185,12 @@ class DeviceWatch:
             ]
         before, self.troubles = self.troubles, tuple(troubles)
         powerless = {each.unit for each in troubles if each.part is Part.LEGS and each.fault is Fault.DISABLED}
-        self.reaction = (
-            Reaction.LIMP
-            if len(powerless) >= LEGS_TO_LIMP
-            else max((trouble.reaction for trouble in troubles), default=Reaction.KEEP_BALANCE)
-        )
+        reaction = max((trouble.reaction for trouble in troubles), default=Reaction.KEEP_BALANCE)
+        if len(powerless) >= LEGS_TO_LIMP:
+            reaction = Reaction.LIMP
+            if self.reaction is not reaction:
+                _log.warning("%s: without motors: %s", ", ".join(sorted(powerless)), _spoken(reaction))
+        self.reaction = reaction
         known = {(trouble.unit, trouble.fault) for trouble in before}
         for trouble in troubles:
             if (trouble.unit, trouble.fault) not in known:

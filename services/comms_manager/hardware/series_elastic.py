@@ -238,13 +238,17 @@ class SeriesElastic(CanDevice):
                 self._bus.send(can_frames.request(unit.number, Code.ENABLE))
 
     def _may_enable(self, rows: Sequence[int]) -> bool:
-        """Whether switching on would move nothing: wanted are no torques, or places where the joints are."""
+        """Whether switching on would move nothing: wanted are places where the joints are, or damping at most."""
         command = self.command
         if command is None:
             return False
         position: FloatVector = self._encoder - self._offset
         return all(
             command.mode[row] == JointMode.OFF
-            or (command.mode[row] != JointMode.FORCE and abs(command.position[row] - position[row]) < ENABLE_WITHIN)
+            or (
+                command.effort[row] == command.stiffness[row] == 0.0
+                if command.mode[row] == JointMode.FORCE
+                else abs(command.position[row] - position[row]) < ENABLE_WITHIN
+            )
             for row in rows
         )
