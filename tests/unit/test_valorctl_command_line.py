@@ -96,6 +96,8 @@ def test_every_number_can_be_an_argument(impulse: tuple[float, float, float]) ->
         ["arm", "middle", "hang"],
         ["hand", "middle", "close"],
         ["up", "--rtf", "-1"],
+        ["up", "--seed", "-1"],
+        ["demo", "walk", "--seed", "-1"],
         ["up", "--clock", "sundial"],
         ["logs", "-n", "-3"],
         ["status", "--instance"],
