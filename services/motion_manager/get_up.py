@@ -2,12 +2,13 @@
 
 The joints go by their servos from key pose to key pose, minimum jerk. Which attitude the pelvis must have at the end of
 each is part of the table: a robot that is elsewhere has slipped, is held or was not lying as it seemed, and gives up.
-The table is made offline, by optimisation (docs/motion_manager.md).
+On its soles it balances: the ankles lead the CoM, which goes on as it moves, to the middle of the soles.
+The table is made offline, by optimisation (``valor_planning``).
 """
 
 from __future__ import annotations
 
-from math import asin, atan2, degrees
+from math import asin, atan2, degrees, sqrt
 from typing import Annotated
 
 import numpy as np
@@ -23,7 +24,11 @@ from valor_common.table import NonNegative, Positive, Table, read
 FILE = "get_up.yaml"  # in the robot's folder
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
 ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]
-AT_REST = 0.5  # lying still: angular velocity of the pelvis below [rad/s]
+AT_REST = 0.5  # lying still, or having come to rest in a pose: angular velocity of the pelvis below [rad/s]
+COMING_TO_REST = 2.0  # at most so long after a pose's hold [s]
+COM_SPEED_FILTER = 0.03  # time constant [s]
+LOWEST_COM = 0.3  # above the soles, for the DCM [m]
+GRAVITY = 9.81  # [m/s²]
 
 
 class KeyPose(Table, kw_only=True):
@@ -33,13 +38,25 @@ class KeyPose(Table, kw_only=True):
     duration: Positive  # [s]
     hold: NonNegative = 0.0  # then [s]
     pitch: Annotated[list[float], Meta(min_length=2, max_length=2)]  # of the pelvis afterwards, from and to [deg]
+    balanced: bool = False  # on the way there and in the hold, by `balance`
     joints: dict[str, float]  # [rad]; the others stay where the pose before had them
+
+
+class Balance(Table):
+    """How a robot on both soles keeps its CoM above them: proportional to the DCM ahead of their middle."""
+
+    joints: Annotated[
+        list[str], Meta(min_length=1)
+    ]  # that lean it back: the ankles, whose positive angle lowers the toes
+    gain: Positive  # [rad/m]
+    limit: Positive  # of the angle added [rad]
 
 
 class GetUpTable(Table):
     """``get_up.yaml``: how a robot gets up from where it may lie."""
 
     roll: Positive  # of the pelvis, at most [deg]
+    balance: Balance
     face_down: Annotated[list[KeyPose], Meta(min_length=1)]
 
 
@@ -47,6 +64,7 @@ class GetUp:
     """One robot's way up. Times are robot time [s].
 
     Attributes:
+        goals: (n,) where the joints are to be in each key pose [rad].
         progress: what is being done, for people.
         failure: why it was given up; empty: it was not.
         done: whether the last key pose is reached.
@@ -61,7 +79,7 @@ class GetUp:
         self._robot = robot
         file = robot.folder / FILE
         self._table = read(GetUpTable, file) if file.is_file() else None
-        self._goals: list[FloatVector] = []
+        self.goals: list[FloatVector] = []
         self._poses: list[KeyPose] = self._table.face_down if self._table else []
         posture = robot.nominal_posture
         for pose in self._poses:
@@ -69,7 +87,8 @@ class GetUp:
                 raise ConfigurationError(f"{file}: face_down: {pose.name}: unknown joint {unknown[0]!r}")
             posture = posture.copy()
             posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
-            self._goals.append(np.clip(posture, robot.lower, robot.upper))
+            self.goals.append(np.clip(posture, robot.lower, robot.upper))
+        self._balance = SoleBalance(robot, self._table.balance) if self._table else None
         self._velocity = VELOCITY_FACTOR * robot.velocity_limit
         self._acceleration = robot.velocity_limit / ACCELERATION_TIME
         self._no_effort = np.zeros(len(robot.joints))
@@ -108,6 +127,13 @@ class GetUp:
             return
         if self._move.since_arrival(now) < pose.hold:
             return
+        rate = float(np.abs(state.pelvis_angular_velocity_in_pelvis).max())
+        if pose.hold > 0.0 and rate > AT_REST:
+            if self._move.since_arrival(now) > pose.hold + COMING_TO_REST:
+                self.failure = (
+                    f"after {pose.name} the pelvis still turns at {rate:.1f} rad/s; expected at most {AT_REST}"
+                )
+            return
         lower, upper = pose.pitch
         if not lower <= pitch <= upper:
             self.failure = f"after {pose.name} the pelvis is pitched {pitch:.0f}°; expected {lower:.0f} to {upper:.0f}°"
@@ -117,10 +143,12 @@ class GetUp:
             self._stage += 1
             self._go(self._move.goal, now)
 
-    def drive(self, command: MotorCommand, now: float) -> None:
+    def drive(self, command: MotorCommand, state: RobotState, now: float) -> None:
         """Fill the command of this period."""
         assert self._move is not None
         position, velocity, _ = self._move.at(now)
+        if self._balance is not None and self._poses[self._stage].balanced:
+            self._balance.lean(position, state, now)
         command.hold(position, velocity, self._no_effort)
 
     def _go(self, start: FloatVector, now: float) -> None:
@@ -128,12 +156,52 @@ class GetUp:
         self.progress = f"getting up, {self._stage + 1} of {len(self._poses)}: {pose.name}"
         self._move = PostureMove(
             start,
-            self._goals[self._stage],
+            self.goals[self._stage],
             velocity=self._velocity,
             acceleration=self._acceleration,
             began=now,
             shortest=pose.duration,
         )
+
+
+class SoleBalance:
+    """Feedback of the DCM along the soles on the ankles of a robot that is moved from pose to pose by its servos.
+
+    The estimator's odometry is of no use to a robot that lay, rolled and kneeled. What is used here it has no part in:
+    where the CoM is from the soles, by the joints and the IMU, and how fast that changes.
+    """
+
+    def __init__(self, robot: RobotDescription, table: Balance) -> None:
+        """Take the joints by name.
+
+        Raises:
+            ConfigurationError: one is unknown.
+        """
+        if unknown := [name for name in table.joints if name not in robot.index]:
+            raise ConfigurationError(f"{robot.folder / FILE}: balance: joints: unknown joint {unknown[0]!r}")
+        self._joints = np.array([robot.index[name] for name in table.joints])
+        self._lower, self._upper = robot.lower[self._joints], robot.upper[self._joints]
+        self._gain, self._limit = table.gain, table.limit
+        foot = robot.tables.feet.left
+        self._middle = 0.5 * (foot.heel + foot.toe)  # of a sole, ahead of its frame [m]
+        self._before = (-1.0, 0.0, 0.0)  # time [s], CoM ahead [m], its speed [m/s]
+
+    def lean(self, position: FloatVector, state: RobotState, now: float) -> None:
+        """Add to the joints' reference (n,) what leads the CoM to the middle of the soles."""
+        forward = state.sole_rotations_in_odom[:, :2, 0].sum(0)
+        way = state.com_in_odom[:2] - state.sole_positions_in_odom[:, :2].mean(0)
+        ahead = float(way @ forward) / float(np.hypot(*forward)) - self._middle
+        height = float(state.com_in_odom[2] - state.sole_positions_in_odom[:, 2].mean())
+        then, before, speed = self._before
+        passed = now - then
+        if 0.0 < passed < COM_SPEED_FILTER:
+            speed += min(1.0, passed / COM_SPEED_FILTER) * ((ahead - before) / passed - speed)
+        elif passed:
+            speed = 0.0
+        self._before = (now, ahead, speed)
+        dcm = ahead + speed * sqrt(max(height, LOWEST_COM) / GRAVITY)
+        angle = min(self._limit, max(-self._limit, self._gain * dcm))
+        position[self._joints] = np.clip(position[self._joints] + angle, self._lower, self._upper)
 
 
 def attitude(state: RobotState) -> tuple[float, float]:

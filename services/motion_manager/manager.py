@@ -321,7 +321,7 @@ class MotionManager:
         if self._locomotion is Locomotion.FALL:
             self._command.limp(state.joint_position)
         elif self._locomotion is Locomotion.GET_UP:
-            self._get_up.drive(self._command, now)
+            self._get_up.drive(self._command, state, now)
         elif self._locomotion in BALANCING:
             self._balance(state, now, dt)
         else:
