@@ -24,7 +24,7 @@ from valor_common.robot import FloatVector
 from valor_planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
 from valor_planning.posture import BASE, Expression, SagittalPosture, twin
 
-TORQUE_COST, FORCE_COST, NEAR_COST = 0.3, 0.02, 1.0  # of shares of the limits, of the weight, of rad; squared
+TORQUE_COST, FORCE_COST, NEAR_COST = 0.02, 0.02, 1.0  # of shares of the limits, of the weight, of rad; squared
 PENETRATION = 0.002  # of shapes that do not carry, into the floor [m]: what a soft contact lets in
 PITCH_ROOM = 0.2  # of the range that the pelvis' pitch may have: the robot will not be quite where it was planned
 ITERATIONS = 600

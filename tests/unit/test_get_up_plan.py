@@ -99,7 +99,7 @@ def test_both_sides_do_the_same() -> None:
     [
         ("l_hip_roll,", "tail,", "no joint 'tail'"),
         ("body: l_shin", "body: shovel", "contacts: knee: no body 'shovel'"),
-        ("loaded: [knee, hand]", "loaded: [tail]", "press up: unknown contact 'tail'"),
+        ("loaded: [inner toe, knee]", "loaded: [tail]", "hands off: unknown contact 'tail'"),
         ("torque: 0.8", "torque: 1.8", "torque"),
     ],
 )

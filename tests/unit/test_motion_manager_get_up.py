@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from motion_manager.behaviors import Behavior
-from motion_manager.get_up import FILE, GetUp
+from motion_manager.get_up import FILE, Balance, GetUp, SoleBalance
 from tests.conftest import ROBOTS
 from tests.unit.robot_in_process import RobotInProcess
 from valor_common.errors import ConfigurationError
@@ -100,3 +100,54 @@ def test_a_robot_that_is_held_down_gives_up_limp() -> None:
     run.step()
     assert (run.peak < 0.2 * ESCHER.effort_limit).all()
     assert "no transition" in run.ask(Behavior.STAND)
+
+
+@dataclass
+class Squatting:
+    """As much of a RobotState as the balance on the soles looks at: heading to y, the CoM ahead of their middle."""
+
+    ahead: float  # [m]
+    sole_positions_in_odom: FloatVector = field(default_factory=lambda: np.array([[2.0, 3.0, 0.0], [2.2, 3.0, 0.0]]))
+    sole_rotations_in_odom: FloatVector = field(
+        default_factory=lambda: np.tile([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], (2, 1, 1))
+    )
+
+    @property
+    def com_in_odom(self) -> FloatVector:
+        return np.array([2.1, 3.025 + self.ahead, 0.5])
+
+
+def test_on_its_soles_the_ankles_lean_it_back_to_the_middle() -> None:
+    table = Balance(joints=["l_ankle_pitch", "r_ankle_pitch"], gain=0.6, limit=0.1)
+    ankles = [ESCHER.index[name] for name in table.joints]
+
+    def lean(*way: float) -> FloatVector:
+        balance, position = SoleBalance(ESCHER, table), ESCHER.nominal_posture.copy()
+        for i, ahead in enumerate(way):
+            position = ESCHER.nominal_posture.copy()
+            balance.lean(position, Squatting(ahead), 1.0 + 0.002 * i)  # type: ignore[arg-type]
+        added = position - ESCHER.nominal_posture
+        assert not np.delete(added, ankles).any()
+        assert added[ankles[0]] == added[ankles[1]]
+        return added[ankles[0]]
+
+    assert lean(0.0) == pytest.approx(0.0)
+    assert lean(0.05) == pytest.approx(0.03)  # toes down: the CoP goes ahead
+    assert lean(-0.05) == pytest.approx(-0.03)
+    assert lean(*np.linspace(0.0, 0.05, 50)) > 0.04  # it is on its way ahead
+    assert lean(1.0) == pytest.approx(table.limit)
+
+
+def test_a_robot_that_sways_on_is_waited_for_and_given_up() -> None:
+    get_up, now = GetUp(ESCHER), 0.0
+    get_up.begin(Lying(90.0), now)  # type: ignore[arg-type]
+    while "on all fours" not in get_up.progress:
+        now += 0.01
+        get_up.update(Lying(90.0), now)  # type: ignore[arg-type]
+        assert not get_up.failure
+    reached = now + 2.2
+    while not get_up.failure and now < 60.0:
+        now += 0.01
+        get_up.update(Lying(90.0, rate=1.0), now)  # type: ignore[arg-type]
+    assert "after on all fours the pelvis still turns at 1.0 rad/s" in get_up.failure
+    assert now == pytest.approx(reached + 2.0, abs=0.5)
