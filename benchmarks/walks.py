@@ -114,7 +114,7 @@ def as_steps(robot: RobotDescription, plan: Sequence[PlanStep]) -> list[Step]:
             index=i,
             foot=FEET.index(step.foot),
             sole=level_pose(step.x, step.y, step.z, step.yaw),
-            swing_height=step.swing_height or table.swing_height,
+            swing_height=step.swing_height or table.plan_swing_height,
             swing_duration=step.step_duration or table.swing_duration,
             transfer_duration=step.sway_duration or table.transfer_duration,
         )

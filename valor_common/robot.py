@@ -203,7 +203,8 @@ class Walking(Table):
     full_speed: Positive = 0.7  # the durations go linearly from zero to here [m/s]
     first_transfer_duration: Positive = 1.0  # from rest [s]
     last_transfer_duration: Positive = 1.0  # to rest [s]
-    swing_height: Positive = 0.06  # of the apex above the higher of lift-off and touch-down [m]
+    swing_height: Positive = 0.06  # of the apex above the higher of lift-off and touch-down, by velocity [m]
+    plan_swing_height: Positive = 0.08  # likewise, of plans that do not say: their heights may be wrong by 4 cm [m]
     touchdown_depth: NonNegative = 0.025  # below the foothold, that a foot is led to: holes are met in time [m]
     touchdown_force: Positive = 30.0  # vertical, at which a swinging foot has touched down [N]
     earliest_touchdown: Positive = 0.6  # of the swing's duration

@@ -220,7 +220,7 @@ def check_steps(taken: list[footsteps.Step], asked: list[Step], tolerance: float
         p = wanted.foot.pose.position
         assert step.foot == wanted.foot.foot_index
         np.testing.assert_allclose(step.sole.position, [p.x, p.y, p.z], rtol=0, atol=tolerance)
-        assert step.swing_height == (wanted.swing_height or ROBOT.tables.walking.swing_height)
+        assert step.swing_height == (wanted.swing_height or ROBOT.tables.walking.plan_swing_height)
         assert step.swing_duration == (wanted.step_duration or ROBOT.tables.walking.swing_duration)
         assert step.transfer_duration == (wanted.sway_duration or ROBOT.tables.walking.transfer_duration)
 

@@ -178,7 +178,7 @@ class FootstepPlanHandler:
             last.index + 1,
             foot,
             SolePose(place, last.sole.rotation),
-            walking.swing_height,
+            walking.plan_swing_height,
             walking.swing_duration,
             walking.transfer_duration,
         )
@@ -202,7 +202,7 @@ class FootstepPlanHandler:
             raise PlanError(f"{name}: position or orientation is not finite")
         if abs(hypot(*orientation.tolist()) - 1.0) > NORM:
             raise PlanError(f"{name}: the orientation is no unit quaternion")
-        height = asked.swing_height or walking.swing_height
+        height = asked.swing_height or walking.plan_swing_height
         swing = asked.swing_duration or walking.swing_duration
         transfer = asked.transfer_duration or walking.transfer_duration
         for what, value, low, high in (
