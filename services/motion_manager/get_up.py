@@ -45,9 +45,7 @@ class KeyPose(Table, kw_only=True):
 class Balance(Table):
     """How a robot on both soles keeps its CoM above them: proportional to the DCM ahead of their middle."""
 
-    joints: Annotated[
-        list[str], Meta(min_length=1)
-    ]  # that lean it back: the ankles, whose positive angle lowers the toes
+    joints: Annotated[list[str], Meta(min_length=1)]  # the ankles, whose positive angle lowers the toes
     gain: Positive  # [rad/m]
     limit: Positive  # of the angle added [rad]
 
