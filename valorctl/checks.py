@@ -189,7 +189,7 @@ def _disk(instance: Instance) -> Finding:
         return Finding("disk", "fail", f"{folder} is not writable", "set VALOR_HOME to a folder of yours")
     free = shutil.disk_usage(folder).free / 2**30
     if free < _LEAST_DISK:
-        advice = f"bags grow by about 5 MB/s; {_LEAST_DISK:g} GiB are a start"
+        advice = f"bags grow by about 1 MB/s; {_LEAST_DISK:g} GiB are a start"
         return Finding("disk", "warn", f"{free:.1f} GiB free under {folder}", advice)
     return Finding("disk", "ok", f"{free:.1f} GiB free under {folder}")
 
