@@ -24,6 +24,7 @@ ESCHER = RobotDescription.load(ROBOTS / "escher")
 ROBOT = RobotDescription(ESCHER.folder, replace(ESCHER.tables, control_rate=250.0))
 LEGS, SENSORS = "legs", "force_torque"
 PERIOD = round(1e9 * ROBOT.control_period)  # [ns]
+LONGEST_EXCHANGE = 0.005  # on a bus that is well again, though it is not told yet [s]
 UNIT = {LEGS: "7", SENSORS: "3"}  # the waist's controller, the left hand's sensor
 
 
@@ -52,10 +53,11 @@ class Loop:
         self._now += 1e-9 * PERIOD
         bench.robot.advance(round(1e-9 * PERIOD / bench.robot.plant.step_time))
         device.request_states()
+        given_up = time.monotonic() + LONGEST_EXCHANGE
         while not device.gathered.is_set():
             device._turn()
             bench.emulator.step(self._now, bench.robot)
-            if device._failure:
+            if device._failure and time.monotonic() > given_up:  # while the bus fails nothing is gathered
                 break
         self.watch.update(round(1e9 * self._now))
         if self.holding and isinstance(measured := device.measured, JointMeasurement):
