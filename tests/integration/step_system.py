@@ -25,6 +25,7 @@ from rclpy.serialization import deserialize_message
 from tf2_msgs.msg import TFMessage
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
+from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
@@ -205,9 +206,9 @@ class Walker:
         wait_until(lambda: self.ros.change_mode(name, LIMIT).current_control_mode == name, LIMIT, f"mode {name}", 0.2)
 
     @property
-    def report(self) -> Any:
+    def report(self) -> ControlModeStatus:
         """The VRC's newest, of its control mode."""
-        return self.ros.reports[-1][1]
+        return self.ros.reports[-1]
 
     def send(self, plan: StepPlan) -> Goal:
         """Ask for a plan."""
