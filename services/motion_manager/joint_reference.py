@@ -53,6 +53,7 @@ class JointReference:
         self._now = np.zeros(1)
         self._target, self._fresh = np.zeros((3, n)), np.zeros(1)
         self._run_on = Kernel("setpoints", _run_on, (followed, self._now), (self._target, self._fresh))
+        self._targets = tuple(self._target)
         self._target_acceleration = np.zeros(n)
         self._move: PostureMove | None = None
         self._moving: Joints = np.zeros(n, dtype=bool)
@@ -138,7 +139,7 @@ class JointReference:
         if self._running_on:
             self._now[0] = now
             self._run_on()
-            target, velocity, acceleration = self._target
+            target, velocity, acceleration = self._targets
             if not self._fresh[0]:
                 self._come_to_rest(target)
         if self._move is not None:

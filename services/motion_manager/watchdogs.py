@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
+import casadi as ca
 import numpy as np
 
+from motion_manager.kernel import Expression, Kernel, pieces
 from valor_common.messages import Proprioceptor
 
 LONGEST_GAP = 0.1  # of robot time between two Proprioceptors of a robot in our hands [s]
@@ -41,6 +44,8 @@ class ProprioceptorWatchdog:
     def __init__(self, joints: int) -> None:
         self._sizes = tuple(joints if size is None else size for _, size in _VECTORS)
         self._vectors = attrgetter(*(name for name, _ in _VECTORS))
+        self._numbers, self._squares = np.zeros(sum(self._sizes)), np.zeros(2)
+        self._look = Kernel("watchdog", self._expressions, (self._numbers,), (self._squares,))
         self._time: int | None = None
         self._sequence = 0
         self.missed = 0
@@ -54,17 +59,23 @@ class ProprioceptorWatchdog:
                 if len(vector) != size:
                     return self._malformed(f"{name} has {len(vector)} numbers; expected {size}")
         # A sum of squares is finite if its terms are: all is looked at in two calls.
-        everything = np.concatenate(vectors)
-        if not math.isfinite(everything.dot(everything)):
+        np.concatenate(vectors, out=self._numbers)
+        self._look()
+        squares, norm = self._squares.tolist()
+        if not math.isfinite(squares):
             for (name, _), vector in zip(_VECTORS, vectors, strict=True):
                 if not math.isfinite(vector.dot(vector)):
                     return self._malformed(f"{name} is not finite")
             return self._malformed("its numbers are too large to be true")
-        orientation = proprioceptor.imu_orientation
-        if abs(float(orientation.dot(orientation)) - 1.0) > 0.01:
+        if abs(norm - 1.0) > 0.01:
             return self._malformed("imu_orientation is no unit quaternion")
         self.malformed = 0
         return ""
+
+    def _expressions(self, numbers: Expression) -> Sequence[Expression]:
+        """(2,) the sum of all squares, and that of the attitude's."""
+        vectors = dict(zip((name for name, _ in _VECTORS), pieces(numbers, self._sizes), strict=True))
+        return [ca.vertcat(ca.sumsqr(numbers), ca.sumsqr(vectors["imu_orientation"]))]
 
     def _malformed(self, reason: str) -> str:
         self.malformed += 1

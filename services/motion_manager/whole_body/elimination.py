@@ -22,12 +22,15 @@ push everywhere anyway, as under a robot at rest, ρ ≥ 0 is none either, and s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
+from motion_manager.kernel import Expression, Kernel
 from motion_manager.whole_body.state import FloatArray
 
 FORCE_REGULARIZATION = 1e-4  # ε [1/N²·(objective's unit)]
@@ -47,60 +50,64 @@ class Limit(NamedTuple):
 
 
 class Elimination:
-    """K, and from it the reduced QP for a set of limits."""
+    """K, and from it the reduced QP for a set of limits; one period after another."""
 
-    def __init__(self, hessian: FloatArray, gradient: FloatArray) -> None:
-        """Factorise H.
+    def __init__(self, nv: int) -> None:
+        """Of a model with ``nv`` degrees of freedom."""
+        self._right = np.zeros((7, nv))  # M_b, then g
+        self._products, self._squares, self._bias = np.zeros((6, 7)), np.zeros((6, 6)), np.zeros(6)
+        self._multiplier, self._shares = np.zeros(6), np.zeros(7)
+        self._factor, self._solved = np.zeros((nv, nv)), np.zeros((nv, 7))
+        self._rows, self._gradient = np.zeros((6, nv)), np.zeros(nv)
+        self._solve = Kernel(
+            "multipliers",
+            _multipliers,
+            (self._products, self._squares, self._bias),
+            (self._multiplier, self._shares),
+        )
+
+    def factorize(self, hessian: FloatArray, gradient: FloatArray, mass_rows: FloatArray, bias: FloatArray) -> None:
+        """Begin a period.
 
         Args:
             hessian: (nv, nv) symmetric positive definite.
             gradient: (nv,).
+            mass_rows: (6, nv) M_b.
+            bias: (6,) h_b.
 
         Raises:
             UnsolvableError: H is not positive definite.
         """
-        self._factor, info = dpotrf(hessian.T, lower=1, clean=0)  # as LAPACK has it, down columns
+        right = self._right
+        right[:6], right[6], self._bias[:] = mass_rows, gradient, bias
+        # As LAPACK has them, down columns. The factor and what it is for are had in one call.
+        self._factor, self._solved, info = dposv(hessian.T, right.T, lower=1, overwrite_b=1)
         if info != 0:
             raise UnsolvableError("the objective's Hessian is not positive definite")
-        self._gradient = gradient
-        self._response: tuple[FloatArray, FloatArray] | None = None  # of the pelvis rows alone
+        self._rows, self._gradient = mass_rows, gradient
+        np.dot(mass_rows, self._solved, self._products)
 
-    def unbounded(self, mass_rows: FloatArray, bias: FloatArray, forces: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def unbounded(self, forces: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(nρ,) ρ and (nv,) v̇ of the problem without a limit, not even ρ ≥ 0; not finite where there is none.
 
         Args:
-            mass_rows: (6, nv) M_b.
-            bias: (6,) h_b.
             forces: (nρ, nv) W.
         """
-        solved, products = self._response = self._respond(mass_rows)
         base = forces[:, :6]
-        system = np.dot(base.T, base)
-        system += FORCE_REGULARIZATION * products[:, :6]
-        _, multiplier, info = dposv(system, products[:, 6] + bias, lower=1, overwrite_a=1, overwrite_b=1)
-        if info != 0:
-            multiplier.fill(np.nan)
-        acceleration = solved[:, :6] @ (-FORCE_REGULARIZATION * multiplier)
-        acceleration += solved[:, 6]
-        return base @ multiplier, acceleration
+        np.dot(base.T, base, self._squares)
+        self._solve()
+        return base @ self._multiplier, self._solved @ self._shares
 
     def _respond(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(nv, n+1) K·[Cᵀ, g] and (n, n+1) C·K·[Cᵀ, g], for n rows C."""
-        n = rows.shape[0]
-        right = np.empty((self._gradient.shape[0], n + 1), order="F")
-        right[:, :n] = rows.T
-        right[:, n] = self._gradient
-        solved, _ = dpotrs(self._factor, right, lower=1, overwrite_b=1)
+        right = np.concatenate((rows, self._gradient[None]))
+        solved, _ = dpotrs(self._factor, right.T, lower=1, overwrite_b=1)
         return solved, rows @ solved
 
-    def reduce(
-        self, mass_rows: FloatArray, bias: FloatArray, forces: FloatArray, limit: Limit | None = None
-    ) -> Reduced:
+    def reduce(self, forces: FloatArray, limit: Limit | None = None) -> Reduced:
         """The reduced QP.
 
         Args:
-            mass_rows: (6, nv) M_b.
-            bias: (6,) h_b.
             forces: (nρ, nv) W.
             limit: quantities to bound, or None.
 
@@ -110,17 +117,17 @@ class Elimination:
         base = forces[:, :6].T
         count = forces.shape[0]
         if limit is None:
-            rows, offset, effect = mass_rows, bias, base
+            offset, effect = self._bias, base
+            solved, products = self._solved, self._products
         else:
             k = limit.rows.shape[0]
-            rows = np.concatenate((mass_rows, limit.rows))
-            offset = np.concatenate((bias, limit.offset))
+            solved, products = self._respond(np.concatenate((self._rows, limit.rows)))
+            offset = np.concatenate((self._bias, limit.offset))
             effect = np.zeros((6 + k, count + k))
             effect[:6, :count] = base
             effect[6:, :count] = limit.forces
             effect[range(6, 6 + k), range(count, count + k)] = 1.0
-        n = rows.shape[0]
-        solved, products = (self._response if limit is None else None) or self._respond(rows)
+        n = products.shape[0]
         compliance, info = dpotrf(products[:, :n], lower=1, clean=0)
         if info != 0:
             raise UnsolvableError("the constraints are not independent")
@@ -152,3 +159,10 @@ class Reduced(NamedTuple):
         multiplier = self.scaled[:, :-1] @ z - self.scaled[:, -1]
         result: FloatArray = self.solved[:, -1] + self.solved[:, :-1] @ multiplier
         return result
+
+
+def _multipliers(products: Expression, squares: Expression, bias: Expression) -> Sequence[Expression]:
+    """(6,) μ, and (7,) what it makes of K·[Cᵀ, g]: λ and 1."""
+    factor = ca.chol(squares + FORCE_REGULARIZATION * products[:, :6])  # no number where there is none
+    multiplier = ca.solve(factor, ca.solve(factor.T, products[:, 6] + bias))
+    return multiplier, ca.vertcat(-FORCE_REGULARIZATION * multiplier, 1.0)

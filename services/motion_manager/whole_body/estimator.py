@@ -35,6 +35,7 @@ from motion_manager.whole_body.dcm import DcmLaw
 from motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
 from motion_manager.whole_body.foot_contact import FootContact, FootSense, Past
 from motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
+from motion_manager.whole_body.pelvis import roll_pitch_yaw
 from motion_manager.whole_body.state import RobotState
 from valor_common.messages import Proprioceptor
 from valor_common.model import Model
@@ -65,6 +66,7 @@ _TOLD: dict[str, tuple[int, ...]] = {
     "pelvis_position_variance": (3,),
     "pelvis_orientation_variance": (3,),
     "pelvis_linear_velocity_variance": (3,),
+    "pelvis_in_support": (6,),
 }
 
 
@@ -339,6 +341,7 @@ class FloatingBaseEstimator:
             # Level as uncertain as the accelerometer's error makes it.
             "pelvis_orientation_variance": ca.vertcat(level, level, heading_variance) + table.attitude_deviation**2,
             "pelvis_linear_velocity_variance": ca.repmat(odometry.covariance[VELOCITY, VELOCITY], 3),
+            "pelvis_in_support": _in_support(turned, places, rotations),
         }
         return *after, ca.vertcat(*(ca.vec(told[name].T) for name in _TOLD)), ca.vertcat(left.touching, right.touching)
 
@@ -394,6 +397,30 @@ class FloatingBaseEstimator:
         state[BIAS, :2] = 0.0
         state[POSITION, :] -= ca.if_else(taken, ca.cross(tilt, middle), 0.0).T
         return odometry._replace(state=state), levelled
+
+
+def _in_support(pelvis: Expression, places: Sequence[Expression], rotations: Sequence[Expression]) -> Expression:
+    """(6,) ``RobotState.pelvis_in_support``.
+
+    Args:
+        pelvis: (3, 3) in odom.
+        places: (3,) of each sole from the pelvis, in odom's axes [m].
+        rotations: (3, 3) of each sole in odom.
+    """
+    left, right = rotations
+    heading = ca.atan2(left[1, 0] + right[1, 0], left[0, 0] + right[0, 0])
+    away = -0.5 * (places[0] + places[1])
+    along, across = ca.vertcat(ca.cos(heading), ca.sin(heading)), ca.vertcat(-ca.sin(heading), ca.cos(heading))
+    roll, pitch, yaw = roll_pitch_yaw(pelvis)
+    turn = yaw - heading
+    return ca.vertcat(
+        ca.dot(along, away[:2]),
+        ca.dot(across, away[:2]),
+        away[2],
+        roll,
+        pitch,
+        ca.atan2(ca.sin(turn), ca.cos(turn)),
+    )
 
 
 def _cop(feet: Sequence[FootContact], places: Sequence[Expression]) -> Expression:

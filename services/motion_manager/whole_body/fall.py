@@ -49,14 +49,14 @@ class FallDetector:
         return self._tilt(state) or self._height(state) or self._dcm(state, soles)
 
     def _tilt(self, state: RobotState) -> str | None:
-        tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))
+        tilt = acos(min(1.0, max(-1.0, state.pelvis_rotation_in_odom.item(8))))
         if tilt <= self._limits.tilt:
             return None
         return f"pelvis tilted {degrees(tilt):.0f}°, limit {degrees(self._limits.tilt):.0f}°"
 
     def _height(self, state: RobotState) -> str | None:
         soles = state.sole_positions_in_odom
-        height = float(state.pelvis_position_in_odom[2]) - min(float(soles[0, 2]), float(soles[1, 2]))
+        height = state.pelvis_position_in_odom.item(2) - min(soles.item(2), soles.item(5))
         if height >= self._lowest:
             return None
         return f"pelvis {height:.2f} m above the soles, limit {self._lowest:.2f} m"

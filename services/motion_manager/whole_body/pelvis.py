@@ -8,12 +8,14 @@ the CoM's by the model, its feet kept where they are by the inverse kinematics o
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, sin
+from math import cos, sin
 
+import casadi as ca
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from motion_manager.kernel import Expression
 from motion_manager.limiter import Limiter
 from motion_manager.whole_body import rotation
 from motion_manager.whole_body.dynamics import ModelJoints
@@ -141,24 +143,7 @@ class PelvisReference:
 
     def measured(self, state: RobotState) -> FloatArray:
         """(6,) where the pelvis is, as estimated."""
-        (lx, ly, lz), (rx, ry, rz) = state.sole_positions_in_odom.tolist()
-        x, y, z = state.pelvis_position_in_odom.tolist()
-        heading = rotation.mean_yaw(state.sole_rotations_in_odom[0], state.sole_rotations_in_odom[1])
-        c, s = cos(heading), sin(heading)
-        dx, dy = x - 0.5 * (lx + rx), y - 0.5 * (ly + ry)
-        roll, pitch, yaw = roll_pitch_yaw(state.pelvis_rotation_in_odom)
-        turn = yaw - heading
-        nx, ny = self._legs.nominal_place
-        return np.array(
-            (
-                c * dx + s * dy - nx,
-                c * dy - s * dx - ny,
-                z - 0.5 * (lz + rz),
-                roll,
-                pitch,
-                atan2(sin(turn), cos(turn)),
-            )
-        )
+        return state.pelvis_in_support - self._legs.nominal_place
 
 
 class LegKinematics:
@@ -167,7 +152,7 @@ class LegKinematics:
     Attributes:
         position: (m,) of the legs' joints [rad].
         com_displacement: (3,) of the CoM from where it is in the nominal posture, in support [m].
-        nominal_place: x and y of the pelvis in support in the nominal posture [m].
+        nominal_place: (6,) of the pelvis in support in the nominal posture; x and y alone are not 0 [m].
         solved: whether the soles are where they shall be.
     """
 
@@ -192,7 +177,8 @@ class LegKinematics:
         self._level = [data.site_xmat[site].reshape(3, 3).copy() for site in self._sites]
         self._nominal_com: FloatArray = self._com - self._middle
         self._nominal_height = robot.tables.nominal_base_height
-        self.nominal_place = (-float(self._middle[0]), -float(self._middle[1]))
+        self.nominal_place = np.zeros(6)
+        self.nominal_place[:2] = -self._middle[:2]
         self.reset()
 
     def reset(self) -> None:
@@ -251,7 +237,11 @@ def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
-def roll_pitch_yaw(matrix: FloatArray) -> tuple[float, float, float]:
-    """The inverse of ``from_roll_pitch_yaw``, for a pitch below π/2 [rad]."""
-    r00, r10, r20, r21, r22 = matrix[0, 0], matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2]
-    return atan2(r21, r22), atan2(-r20, hypot(r00, r10)), atan2(r10, r00)
+def roll_pitch_yaw(matrix: Expression) -> tuple[Expression, Expression, Expression]:
+    """The inverse of ``from_roll_pitch_yaw``, of a (3, 3) expression, for a pitch below π/2 [rad]."""
+    forward = ca.norm_2(matrix[:2, 0])
+    return (
+        ca.atan2(matrix[2, 1], matrix[2, 2]),
+        ca.atan2(-matrix[2, 0], forward),
+        ca.atan2(matrix[1, 0], matrix[0, 0]),
+    )

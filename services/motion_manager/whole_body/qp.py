@@ -64,6 +64,7 @@ class ContactForceQp:
         self._joints = len(joint_damping)
         self._none = np.zeros(0, dtype=np.intp)
         n = self._joints
+        self._elimination = Elimination(6 + n)
         self._given = np.zeros((9, n))
         self._values, self._excess = np.zeros(2 * n), np.zeros(2)
         self._pushes_freely = True  # whether no generator was at a bound in the period before
@@ -93,13 +94,14 @@ class ContactForceQp:
         """
         mass, bias, n, pushing = dynamics.mass_matrix, dynamics.bias, self._joints, self._pushing
         forces = forces[pushing]
-        elimination = Elimination(objective.hessian, objective.gradient)
+        elimination = self._elimination
+        elimination.factorize(objective.hessian, objective.gradient, mass[:6], bias[:6])
         joined, others = self._none, bounds.others
         for _ in range(ROUNDS):
             limit = self._limit(dynamics, forces, joined, others) if joined.size else None
-            free = self._free(elimination, dynamics, forces) if limit is None and self._pushes_freely else None
+            free = self._free(forces) if limit is None and self._pushes_freely else None
             if free is None:
-                reduced = elimination.reduce(mass[:6], bias[:6], forces, limit)
+                reduced = elimination.reduce(forces, limit)
                 z = self._minimum(reduced, bounds, joined)
                 acceleration, pushes = reduced.acceleration(z), z[: self._upper.size]
                 if limit is None:
@@ -143,11 +145,9 @@ class ContactForceQp:
         excess = functools.reduce(ca.fmax, ca.vertsplit(ca.fmax(values - upper, lower - values)))
         return values, ca.vertcat(excess, ca.sumsqr(values))
 
-    def _free(
-        self, elimination: Elimination, dynamics: Dynamics, forces: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
+    def _free(self, forces: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Forces along the pushing generators and accelerations, if no bound of the forces makes any difference."""
-        found = elimination.unbounded(dynamics.mass_matrix[:6], dynamics.bias[:6], forces)
+        found = self._elimination.unbounded(forces)
         return found if self._within(found[0]) else None
 
     def _within(self, pushes: FloatArray) -> bool:

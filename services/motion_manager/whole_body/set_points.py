@@ -27,7 +27,8 @@ class SetPoints:
         self._indices, self._joints = joints.indices, n
         self.integrated = np.array([robot.tables.joints[name].control != "force" for name in joints.names])
         self._lower, self._upper = robot.lower[joints.places], robot.upper[joints.places]
-        self.position, self.velocity = np.zeros(nj), np.zeros(nj)
+        self._now = np.zeros((2, nj))
+        self.position, self.velocity = self._now
         self._solved = np.zeros(6 + 2 * nj + n)
         self._dt = np.zeros(1)
         self._next = np.zeros((2, nj))
@@ -63,7 +64,7 @@ class SetPoints:
         np.concatenate((acceleration, torque, measured), out=self._solved)
         self._dt[0] = dt
         self._integrate()
-        self.position[:], self.velocity[:] = self._next
+        self._now[:] = self._next
         effort, joint_acceleration, position, velocity = self._told.copy()
         return effort, joint_acceleration, position, velocity
 

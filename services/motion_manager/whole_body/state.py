@@ -50,6 +50,7 @@ class RobotState:
     pelvis_position_variance: FloatArray  # (3,) along the axes of odom [m²]; grows with the way: it is odometry
     pelvis_orientation_variance: FloatArray  # (3,) about the axes of odom [rad²]
     pelvis_linear_velocity_variance: FloatArray  # (3,) [m²/s²]
+    pelvis_in_support: FloatArray  # (6,) from midway between the soles, along their mean heading [m]; roll, pitch, yaw
 
     @property
     def q(self) -> FloatArray:

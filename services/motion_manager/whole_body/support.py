@@ -42,7 +42,7 @@ def surely_within(positions: FloatArray, rotations: FloatArray, radius: float, p
     """
     (ax, ay, _), (bx, by, _) = positions.tolist()
     x, y = point
-    narrow = max(0.0, min(float(rotations[0, 2, 2]), float(rotations[1, 2, 2])))
+    narrow = max(0.0, min(rotations.item(8), rotations.item(17)))
     ex, ey, px, py = bx - ax, by - ay, x - ax, y - ay
     t = min(1.0, max(0.0, (px * ex + py * ey) / max(ex * ex + ey * ey, 1e-12)))
     return hypot(px - t * ex, py - t * ey) <= margin + radius * narrow

@@ -11,7 +11,7 @@ has H = Σ wᵢ·JᵢᵀJᵢ + diag(p) and g = Σ wᵢ·Jᵢᵀ(aᵢ − dᵢ) +
 
 from __future__ import annotations
 
-from math import nan, sqrt
+from math import nan
 
 import numpy as np
 
@@ -47,10 +47,10 @@ class Objective:
             joints.group("torso"),
             joints.group("left_leg", "right_leg"),
         )
-        self._foot_root = 0.0
+        self._foot_weight = 0.0
         self._swinging: tuple[int | None, float] = (None, nan)
-        self._root = np.zeros(ROWS)
-        self._root_column = np.zeros((ROWS, 1))
+        self._weight_column = np.zeros((ROWS, 1))
+        self._weight = self._weight_column[:, 0]  # of each row
         self._posture_weight = np.zeros(joints.count)
         self._diagonal = np.full(nv, REGULARIZATION)
         self.weigh(np.array([getattr(table, f"{task}_weight") for task in TASKS]))
@@ -64,11 +64,10 @@ class Objective:
     def weigh(self, weights: FloatArray) -> None:
         """Take (7,) weights in the order of ``TASKS``; ``swing`` is to be called after."""
         com, momentum, orientation, foot, *posture = weights.tolist()
-        root = self._root
-        root[COM], root[MOMENTUM] = sqrt(com), sqrt(momentum)
-        root[CHEST] = root[PELVIS] = sqrt(orientation)
-        root[SOLES] = self._foot_root = sqrt(foot)
-        self._root_column[:, 0] = root
+        rows = self._weight
+        rows[COM], rows[MOMENTUM] = com, momentum
+        rows[CHEST] = rows[PELVIS] = orientation
+        rows[SOLES] = self._foot_weight = foot
         for group, weight in zip(self._groups, posture, strict=True):
             self._posture_weight[group] = weight
         self._diagonal[6:] = REGULARIZATION + self._posture_weight
@@ -79,11 +78,9 @@ class Objective:
         if (foot, weight) == self._swinging:
             return
         self._swinging = (foot, weight)
-        root = self._root
-        root[SOLES] = self._foot_root
+        self._weight[SOLES] = self._foot_weight
         if foot is not None:
-            root[sole_rows(foot)] = sqrt(weight)
-        self._root_column[:, 0] = root
+            self._weight[sole_rows(foot)] = weight
 
     def update(self, dynamics: Dynamics, acceleration: FloatArray, posture: FloatArray) -> None:
         """Put the tasks together at this state.
@@ -94,10 +91,10 @@ class Objective:
             posture: (nj,) wanted of the joints [rad/s²].
         """
         weighted, wanted = self._weighted, self._wanted
-        np.multiply(dynamics.jacobian, self._root_column, out=weighted)
+        np.multiply(dynamics.jacobian, self._weight_column, out=weighted)
         np.subtract(acceleration, dynamics.drift, out=wanted)
-        wanted *= self._root
-        np.dot(weighted.T, weighted, self.hessian)
+        # Two matrices: of one with itself NumPy makes a triangle, and copies it number by number.
+        np.dot(dynamics.jacobian.T, weighted, self.hessian)
         self._hessian_diagonal += self._diagonal
         np.dot(wanted, weighted, self.gradient)
         self._joint_gradient += self._posture_weight * posture
