@@ -135,8 +135,9 @@ class Dynamics:
                 self.mass_matrix[:6],
                 self.bias[:6],
                 self.com,
+                data.qvel,
                 *(data.cacc[body] for body in bodies),
-                *(data.cvel[body] for body in bodies[1:]),
+                *(data.cvel[body] for body in bodies),
                 *(data.site_xpos[site] for site in self._soles),
                 *(data.site_xmat[site] for site in self._soles),
             ),
@@ -145,6 +146,7 @@ class Dynamics:
                 self.jacobian[:6],
                 self.jacobian[PELVIS],
                 self.drift,
+                self.task_velocity,
                 self.sole_position,
                 self.sole_rotation,
             ),
@@ -183,7 +185,6 @@ class Dynamics:
         for i, site in enumerate(self._soles):
             mujoco.mj_jacSite(m, d, self._linear[i], self._angular[i], site)
         self._accelerations()
-        np.dot(self.jacobian, self.velocity, self.task_velocity)
 
     def nearest(self, one: int, other: int, reach: float, segment: FloatArray) -> float:
         """The distance between two geoms [m], negative where they overlap; ``reach`` if they are farther apart.
@@ -218,20 +219,21 @@ class Dynamics:
         mass_rows: Expression,
         bias: Expression,
         com: Expression,
-        chest_acceleration: Expression,
-        *soles: Expression,
+        rates: Expression,
+        *bodies: Expression,
     ) -> Sequence[Expression]:
-        """Rotations, centroidal rows and drifts of what MuJoCo has found.
+        """Rotations, centroidal rows, drifts and velocities of what MuJoCo has found.
 
         Args:
             orientation: (4,) of the pelvis in odom.
             mass_rows: (6, nv) of the pelvis.
             bias: (6,) likewise.
             com: (3,) from the pelvis.
-            chest_acceleration: (6,) spatial, at v̇ = 0, as MuJoCo has it: angular, linear at the CoM.
-            soles: of the left and the right one, (6,) spatial accelerations of the foot, (6,) spatial velocities,
-                (3,) places of the soles and (9,) rotations.
+            rates: (nv,) velocity of the model, its linear part zero.
+            bodies: of chest, left and right foot, (6,) spatial accelerations at v̇ = 0, as MuJoCo has them: angular,
+                linear at the CoM; likewise velocities; of the left and the right sole, (3,) places and (9,) rotations.
         """
+        chest_acceleration, left_acceleration, right_acceleration, chest_velocity, *soles = bodies
         up = ca.vertcat(0.0, 0.0, self.gravity)  # MuJoCo accelerates the world upwards in gravity's place
         turned = ca.vertcat(*(ca.horzcat(*row) for row in rotation.rows(parts(orientation))))
         linear, linear_bias = mass_rows[:3, :], bias[:3]
@@ -239,18 +241,24 @@ class Dynamics:
         momentum = turned @ mass_rows[3:, :] - lever @ linear
         drift = [linear_bias / self.mass - up, turned @ bias[3:] - lever @ linear_bias]
         drift += [chest_acceleration[:3], ca.SX.zeros(3)]
-        for acceleration, velocity, place in zip(soles[:2], soles[2:4], soles[4:6], strict=True):
+        pushed = linear @ rates
+        velocities = [pushed / self.mass, turned @ (mass_rows[3:, :] @ rates) - lever @ pushed]
+        velocities += [chest_velocity[:3], turned @ rates[3:6]]
+        accelerations = (left_acceleration, right_acceleration)
+        for acceleration, velocity, place in zip(accelerations, soles[:2], soles[2:4], strict=True):
             arm, turning = place - com, velocity[:3]
             moving = velocity[3:] + ca.cross(turning, arm)
+            velocities += [moving, turning]
             at_sole = acceleration[3:] + ca.cross(acceleration[:3], arm) + ca.cross(turning, moving)
             drift += [at_sole - up, acceleration[:3]]
         pelvis = ca.horzcat(ca.SX(3, 3), turned, ca.SX(3, self.velocity.size - 6))
-        rotations = (by_rows(numbers) for numbers in soles[6:])
+        rotations = (by_rows(numbers) for numbers in soles[4:])
         return (
             turned,
             ca.vertcat(linear / self.mass, momentum),
             pelvis,
             ca.vertcat(*drift),
-            ca.horzcat(*soles[4:6]).T,
+            ca.vertcat(*velocities),
+            ca.horzcat(*soles[2:4]).T,
             ca.vertcat(*rotations),
         )

@@ -152,8 +152,12 @@ class ContactForceQp:
 
     def _within(self, pushes: FloatArray) -> bool:
         """Whether forces are within their bounds, and numbers."""
-        lowest = float(np.minimum.reduce(pushes))
-        return lowest > 0.0 and not (self._upper_bounded and bool((pushes >= self._upper).any()))
+        numbers = pushes.tolist()  # Python finds the least of thirty numbers before NumPy has begun
+        return (
+            min(numbers) > 0.0
+            and isfinite(sum(numbers))
+            and not (self._upper_bounded and bool((pushes >= self._upper).any()))
+        )
 
     def _all(self, pushes: FloatArray) -> FloatArray:
         """(nρ,) of both feet."""
