@@ -214,10 +214,11 @@ class ValorEscherInterface:
         proprioceptor_silent = now - self._heard_proprioceptor > self._timeout
         motion_silent = now - self._heard_motion > self._timeout
         if proprioceptor_silent and motion_silent:
-            # In lockstep the Comms Manager waits for the Motor that it is owed: who owes it, stopped.
+            # In lockstep the Comms Manager waits for the Motor that it is owed: who owes it, stopped. Unless the Comms
+            # Manager died before its last Proprioceptor had reached everybody: then it is gone from the network.
             motion = self._hw.motion
             owed = motion is not None and motion.proprioceptor_sequence < self._newest_sequence
-            return "motion_manager" if owed else "comms_manager"
+            return "motion_manager" if owed and self._proprioceptor.publishers else "comms_manager"
         if proprioceptor_silent:
             return "comms_manager"
         return "motion_manager" if motion_silent else ""

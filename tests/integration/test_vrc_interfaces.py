@@ -75,6 +75,8 @@ def test_every_documented_topic_is_in_the_graph_with_its_type_and_nothing_else_i
         return {name: kind for name, kind in wanted.items() if kind not in found.get(name, [])}
 
     wait_until(lambda: not missing(), PATIENCE, f"topics: {missing()}")
+    # Topics are discovered by themselves, and whose they are a moment later.
+    wait_until(lambda: VRC in ros.node.get_node_names(), PATIENCE, "the VRC's node")
     for listed, documented in (
         (ros.node.get_publisher_names_and_types_by_node, outward),
         (ros.node.get_subscriber_names_and_types_by_node, inward),

@@ -59,6 +59,7 @@ class Mailbox:
         self._newest: Received[Any] | None = None
         self._sequence = 0
         self.woken = False  # whoever waits for a message
+        self.publishers: tuple[str, ...] = ("test",)  # that are there
         self.heard: Callable[[Any], None] = lambda message: None
 
     def publish(self, message: Any) -> None:
@@ -193,7 +194,7 @@ class MotionSystem:
             self.fsm.go(behavior, reason)
         return possible
 
-    def period(self, time: int, position: FloatVector, network: Network) -> MotionState:
+    def period(self, time: int, sequence: int, position: FloatVector, network: Network) -> MotionState:
         """Hear, move, report."""
         now = time * 1e-9
         if received := network.topic(topics.JOINT_SETPOINTS.name).latest():
@@ -212,6 +213,7 @@ class MotionSystem:
         self._pelvis.advance(self._pelvis_target, np.zeros(6), PERIOD * 1e-9)
         return motion_state(
             time=time,
+            proprioceptor_sequence=sequence,
             behavior=str(fsm.behavior),
             locomotion=str(fsm.locomotion),
             manipulation=str(fsm.manipulation),
@@ -317,7 +319,7 @@ class System:
         self._publish_proprioceptor()
         motion = None if self.frozen else self.motion
         if motion is not None:
-            state = motion.period(self.time, self.position, self.network)
+            state = motion.period(self.time, self.sequence, self.position, self.network)
             self.network.topic(topics.MOTION_STATE.name).publish(state)
             if motion.fsm.behavior is not Behavior.FALL:
                 self.position = state.joint_setpoint - SAG
