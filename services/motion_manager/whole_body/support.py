@@ -90,9 +90,10 @@ def distance_outside(hull: list[Point], x: float, y: float) -> float:
     for bx, by in hull:
         ex, ey = bx - ax, by - ay
         length = hypot(ex, ey)
+        ex, ey = ex / length, ey / length  # a direction: the square of a short length may be zero
         px, py = x - ax, y - ay
-        inside = max(inside, (px * ey - py * ex) / length)
-        t = min(1.0, max(0.0, (px * ex + py * ey) / (length * length)))
-        nearest = min(nearest, hypot(px - t * ex, py - t * ey))
+        inside = max(inside, px * ey - py * ex)
+        along = min(length, max(0.0, px * ex + py * ey))
+        nearest = min(nearest, hypot(px - along * ex, py - along * ey))
         ax, ay = bx, by
     return nearest if inside > 0.0 else inside

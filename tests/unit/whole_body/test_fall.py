@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
@@ -41,6 +41,7 @@ def test_hull_is_scipys(seed: int, count: int) -> None:
 
 
 @given(st.lists(coordinates, min_size=3, max_size=8), coordinates)
+@example([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (8.8e-224, 0.0)], (0.0, 0.0))  # two corners that are all but one
 def test_distance_to_the_hull_is_that_of_a_dense_outline(points: list[Point], point: Point) -> None:
     hull = convex_hull(points)
     if len(hull) < 3 or area(hull) < 1e-3:
