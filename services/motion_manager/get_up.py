@@ -193,7 +193,7 @@ class SoleBalance:
         then, before, speed = self._before
         passed = now - then
         if 0.0 < passed < COM_SPEED_FILTER:
-            speed += min(1.0, passed / COM_SPEED_FILTER) * ((ahead - before) / passed - speed)
+            speed += passed / COM_SPEED_FILTER * ((ahead - before) / passed - speed)
         elif passed:
             speed = 0.0
         self._before = (now, ahead, speed)

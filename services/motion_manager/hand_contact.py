@@ -14,14 +14,17 @@ class HandContacts:
 
     Attributes:
         contacts: (2,) left, right: 1 in contact; a new array whenever it changes.
-        touching: whether any hand is.
     """
 
     def __init__(self, hands: Hands) -> None:
         self._on, self._off = hands.contact_on**2, hands.contact_off**2
         self.contacts: npt.NDArray[np.uint8] = np.zeros(2, dtype=np.uint8)
-        self.touching = False
         self._before = (0, 0)
+
+    @property
+    def touching(self) -> bool:
+        """Whether any hand is in contact."""
+        return any(self._before)
 
     def update(self, proprioceptor: Proprioceptor) -> None:
         """Take in what the hands' sensors measured."""
@@ -31,7 +34,7 @@ class HandContacts:
             self._touches(proprioceptor.right_hand_wrench, right),
         )
         if now != self._before:
-            self._before, self.touching = now, any(now)
+            self._before = now
             self.contacts = np.array(now, dtype=np.uint8)
 
     def _touches(self, wrench: npt.NDArray[np.float64], before: int) -> int:
