@@ -26,7 +26,7 @@ $(STAMP): pyproject.toml requirements.txt $(WHEELS)
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces build/wheels/*.whl
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable .
 	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
-	$(BIN)/python -m compileall -q bifrost services valor_analysis valor_common valor_planning valorctl tests
+	$(BIN)/python -m compileall -q bifrost services valor tests
 	touch $@
 
 # The ROS 2 message packages, compiled once. The compiler and the headers are looked for first: their absence would

@@ -13,9 +13,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common.messages import Proprioceptor
+from valor.common.messages import Proprioceptor
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 SPEEDS = (0.0, 0.3)  # [m/s]
 PAUSES = (0.1, 0.2, 0.3, 0.5)  # [s]

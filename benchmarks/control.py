@@ -26,9 +26,9 @@ import numpy as np
 import pushes
 import walks
 
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 
 def main() -> None:

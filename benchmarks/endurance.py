@@ -21,13 +21,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for the robots' folder, wh
 import numpy as np
 import psutil
 
-from motion_manager.behaviors import Behavior
-from motion_manager.manager import MotionManager
 from tests.unit.whole_body.closed_loop import load_robot
-from valor_common.messages import BehaviorRequest, MotionState
-from valor_common.model import controller_model
-from valor_simulation.plant import Plant
-from valor_simulation.sensors import Sensors
+from valor.common.messages import BehaviorRequest, MotionState
+from valor.common.model import controller_model
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.manager import MotionManager
+from valor.simulation.plant import Plant
+from valor.simulation.sensors import Sensors
 
 SETTLING = 20.0  # from the servos' posture to the controller's, and until the DCM's integral has settled [s]
 SAMPLE = 1.0  # [s]

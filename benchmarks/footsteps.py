@@ -24,11 +24,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which
 
 from tests.unit.whole_body.closed_loop import load_robot
 from tests.unit.whole_body.plan_walk import Walked, walk_plan
-from valor_common import worlds
-from valor_common.poses import level
-from valor_common.robot import Footsteps
-from valor_common.worlds.stairs import Stairs
-from valorctl.step_plan import FEET, PlanStep, load
+from valor.common import worlds
+from valor.common.poses import level
+from valor.common.robot import Footsteps
+from valor.common.worlds.stairs import Stairs
+from valor.valorctl.step_plan import FEET, PlanStep, load
 
 PLANS = Path(__file__).parents[1] / "examples" / "plans"
 WORLD = {"stairs": "stairs"}  # of a plan; all others: flat

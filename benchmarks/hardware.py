@@ -24,12 +24,12 @@ from rich.console import Console
 from rich.table import Table
 
 import bifrost
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valor_common.messages import ClockStatus, MotionState, Statistics
-from valor_common.processes import BY_NAME
-from valor_common.topics import CLOCK, MOTION_STATE, STATISTICS
-from valorctl.leftovers import processes_of
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import ClockStatus, MotionState, Statistics
+from valor.common.processes import BY_NAME
+from valor.common.topics import CLOCK, MOTION_STATE, STATISTICS
+from valor.valorctl.leftovers import processes_of
 
 SETTLING = 6.0  # after `up` [s]
 PATIENCE = 10.0  # with the system [s]

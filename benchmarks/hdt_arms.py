@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 import bifrost
-from valor_common.instance import Instance
-from valor_common.messages import HdtCommand, HdtState, Statistics
-from valor_common.topics import STATISTICS
+from valor.common.instance import Instance
+from valor.common.messages import HdtCommand, HdtState, Statistics
+from valor.common.topics import STATISTICS
 
 LIMBS = ("left_arm", "right_arm", "left_hand", "right_hand")
 PROCESSES = ("hdt_driver", "hdt_bridge", "comms_manager", "device_emulators")

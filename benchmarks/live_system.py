@@ -15,12 +15,12 @@ import numpy as np
 from observer import Observer
 
 import bifrost
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valor_common.messages import PushReply, PushRequest
-from valor_common.robot import RobotDescription
-from valor_common.topics import PUSH
-from valorctl import control_mode
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import PushReply, PushRequest
+from valor.common.robot import RobotDescription
+from valor.common.topics import PUSH
+from valor.valorctl import control_mode
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
 SETTLING = 3.0  # from the servos' posture to the controller's, after `up` [robot time, s]

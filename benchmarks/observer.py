@@ -12,12 +12,12 @@ from collections.abc import Callable
 import numpy as np
 
 import bifrost
-from valor_analysis.track_builder import TrackBuilder
-from valor_analysis.walk import Track
-from valor_common.errors import ValorError
-from valor_common.messages import ClockStatus, GroundTruth, MotionState, Proprioceptor, Statistics
-from valor_common.robot import RobotDescription
-from valor_common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR
+from valor.analysis.track_builder import TrackBuilder
+from valor.analysis.walk import Track
+from valor.common.errors import ValorError
+from valor.common.messages import ClockStatus, GroundTruth, MotionState, Proprioceptor, Statistics
+from valor.common.robot import RobotDescription
+from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR
 
 SILENCE = 10.0  # of the Motion Manager, after which a run is given up [s]
 

@@ -36,11 +36,11 @@ from rich.console import Console
 from rich.table import Table
 
 import bifrost
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valor_common.messages import JointSetpoints, Motor, Proprioceptor, Statistics
-from valor_common.robot import RobotDescription
-from valor_common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, VALOR_ROS_CONTROLLER_STATISTICS
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import JointSetpoints, Motor, Proprioceptor, Statistics
+from valor.common.robot import RobotDescription
+from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, VALOR_ROS_CONTROLLER_STATISTICS
 
 INSTANCE = "pathways"
 RATE = 250.0  # of the floor's messages, as of /joint_states [Hz]

@@ -13,12 +13,12 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common.model import controller_model
-from valor_common.robot import RobotDescription
+from valor.common.model import controller_model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.dcm import DcmLaw
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 DURATION = 0.1  # [s]

@@ -23,13 +23,13 @@ from live_system import started
 from mcap.reader import make_reader
 
 import bifrost
-from valor_analysis.process_statistics import Sampler
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valor_common.messages import Proprioceptor
-from valor_common.topics import PROPRIOCEPTOR
-from valorctl import control_mode
-from valorctl.supervision import Supervisor
+from valor.analysis.process_statistics import Sampler
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import Proprioceptor
+from valor.common.topics import PROPRIOCEPTOR
+from valor.valorctl import control_mode
+from valor.valorctl.supervision import Supervisor
 
 MODE = "manipulate"
 SETTLING = 5.0  # [s]

@@ -25,10 +25,10 @@ from live_system import started, valorctl
 from rich.console import Console
 from rich.table import Table
 
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valor_common.messages import GroundTruth, MotionState, Statistics
-from valor_common.topics import GROUND_TRUTH, MOTION_STATE, STATISTICS
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import GroundTruth, MotionState, Statistics
+from valor.common.topics import GROUND_TRUTH, MOTION_STATE, STATISTICS
 
 SETTLING = 5.0  # from the servos' posture to the controller's, after `up` [s]
 

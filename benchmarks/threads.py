@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor_ros_controller.service import SWITCH_INTERVAL
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.service import SWITCH_INTERVAL
 
 RATE = 250.0  # [Hz]
 

@@ -15,17 +15,17 @@ import numpy as np
 from live_system import System
 
 import bifrost
-from valor_common.devices.table import Device, Dynamixel, FtCan, HdtBifrost, SeaCanFd
-from valor_common.errors import ValorError
-from valor_common.messages import GroundTruth, Proprioceptor
-from valor_common.model import full_model
-from valor_common.poses import Pose
-from valor_common.robot import RobotDescription
-from valor_common.topics import GROUND_TRUTH, PROPRIOCEPTOR
-from valorctl import arm_motion, status, stepping
-from valorctl.arm_motion import SIDES, Limb, Side
-from valorctl.step_planner import middle
-from valorctl.walking import Order, walk
+from valor.common.devices.table import Device, Dynamixel, FtCan, HdtBifrost, SeaCanFd
+from valor.common.errors import ValorError
+from valor.common.messages import GroundTruth, Proprioceptor
+from valor.common.model import full_model
+from valor.common.poses import Pose
+from valor.common.robot import RobotDescription
+from valor.common.topics import GROUND_TRUTH, PROPRIOCEPTOR
+from valor.valorctl import arm_motion, status, stepping
+from valor.valorctl.arm_motion import SIDES, Limb, Side
+from valor.valorctl.step_planner import middle
+from valor.valorctl.walking import Order, walk
 
 M = TypeVar("M", bound=bifrost.Message)
 STANDING = 8.0  # [robot time, s]
@@ -252,7 +252,7 @@ def _device_rows(bench: Bench) -> dict[str, tuple[int, str]]:
     """Level and words of each unit by ``/diagnostics``; of those that say all that there is to say."""
     from diagnostic_msgs.msg import DiagnosticArray
 
-    from valorctl.ros_client import RosClient
+    from valor.valorctl.ros_client import RosClient
 
     rows: dict[str, tuple[int, str]] = {}
     whole = {"rate [Hz]", "latency [ms]", "age [ms]"}

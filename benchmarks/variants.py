@@ -23,11 +23,11 @@ from live_system import running
 from mcap.reader import make_reader
 from trials import TRIALS, Bench, Values, told
 
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valor_common.robot import RobotDescription
-from valor_common.topics import DEVICES, PELVIS, TOPICS
-from valorctl.profile import Profile
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.robot import RobotDescription
+from valor.common.topics import DEVICES, PELVIS, TOPICS
+from valor.valorctl.profile import Profile
 
 VARIANTS = ("sim", "hardware")
 LOST = ("fall", "freeze", "soft_stop", "idle")  # behaviors from which no trial goes on

@@ -41,11 +41,11 @@ from walking_actions import (
     straight_on,
 )
 
-from valor_analysis.errors import BagError
-from valor_analysis.walk import Figures
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valorctl.walking import Order
+from valor.analysis.errors import BagError
+from valor.analysis.walk import Figures
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.valorctl.walking import Order
 
 QUICK_ROWS = ("flat_0.5", "dirt", "about", "rubble")
 

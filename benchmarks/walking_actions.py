@@ -11,12 +11,12 @@ from typing import Protocol, Self
 from flights import over_stairs
 from live_system import System
 
-from valor_common import worlds
-from valor_common.robot import RobotDescription
-from valor_common.worlds.stairs import Stairs
-from valorctl import stepping
-from valorctl.step_plan import PlanStep
-from valorctl.walking import MODES, Order, walk
+from valor.common import worlds
+from valor.common.robot import RobotDescription
+from valor.common.worlds.stairs import Stairs
+from valor.valorctl import stepping
+from valor.valorctl.step_plan import PlanStep
+from valor.valorctl.walking import MODES, Order, walk
 
 ROBOT = Path(__file__).parents[1] / "robots" / "escher"
 STANDING = (-0.012, 0.1)  # x and |y| of the soles at the start [m]

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from flights import over_stairs
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.walking.footsteps import Step, level_pose
-from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common import worlds
-from valor_common.robot import RobotDescription
-from valor_common.worlds.stairs import Stairs
-from valorctl.step_plan import FEET, PlanStep
+from valor.common import worlds
+from valor.common.robot import RobotDescription
+from valor.common.worlds.stairs import Stairs
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
+from valor.motion_manager.whole_body.walking.step_queue import StepQueue
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.valorctl.step_plan import FEET, PlanStep
 
 WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.5, 0, 0), (0.8, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
 WALK_DURATION = 20.0  # [s]

@@ -14,10 +14,10 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bifrost import Message
-from valor_common.messages import GroundTruth, JointSetpoints, MotionState, Motor, Proprioceptor
-from valor_common.model import Model, robot_spec
-from valor_common.robot import RobotDescription
-from valor_common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
+from valor.common.messages import GroundTruth, JointSetpoints, MotionState, Motor, Proprioceptor
+from valor.common.model import Model, robot_spec
+from valor.common.robot import RobotDescription
+from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
 
 DEFINITIONS = Path(sys.prefix) / "share" / "valor_msgs" / "msg"
 GOALS = {"r_shoulder_pitch": -0.8, "r_shoulder_roll": -0.5, "r_elbow_pitch": 0.9, "neck_yaw": -0.5, "neck_pitch": 0.2}

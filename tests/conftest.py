@@ -19,11 +19,11 @@ import hypothesis
 import pytest
 
 import bifrost
-from valor_common.instance import Instance, Settings
-from valor_common.messages import Statistics
-from valor_common.processes import BY_NAME
-from valor_common.table import checked, plain
-from valor_common.topics import STATISTICS
+from valor.common.instance import Instance, Settings
+from valor.common.messages import Statistics
+from valor.common.processes import BY_NAME
+from valor.common.table import checked, plain
+from valor.common.topics import STATISTICS
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 ROBOTS = REPOSITORY / "robots"

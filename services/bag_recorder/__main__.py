@@ -2,8 +2,8 @@
 
 import sys
 
-from bag_recorder.service import BagRecorder
-from valor_common.service import run
+from valor.bag_recorder.service import BagRecorder
+from valor.common.service import run
 
 if __name__ == "__main__":
     sys.exit(run("bag_recorder", BagRecorder))

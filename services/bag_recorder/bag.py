@@ -9,7 +9,7 @@ from typing import Protocol
 
 from mcap.writer import CompressionType
 
-from bag_recorder.quick_writer import QuickWriter
+from valor.bag_recorder.quick_writer import QuickWriter
 
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
 PROFILE = "ros2"

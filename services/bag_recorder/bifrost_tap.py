@@ -7,12 +7,12 @@ import struct
 from collections.abc import Sequence
 
 import bifrost
-from bag_recorder.bag import RecordedTopic, Sink
-from bag_recorder.clock import WallClock
-from bag_recorder.definitions import definition
-from bag_recorder.twin import TwinEncoder, twin_type
-from valor_common.selection import EVERYTHING, Selection
-from valor_common.topics import TOPICS, Topic
+from valor.bag_recorder.bag import RecordedTopic, Sink
+from valor.bag_recorder.clock import WallClock
+from valor.bag_recorder.definitions import definition
+from valor.bag_recorder.twin import TwinEncoder, twin_type
+from valor.common.selection import EVERYTHING, Selection
+from valor.common.topics import TOPICS, Topic
 
 PREFIX = "/bifrost/"
 QUEUE = 4000  # messages a topic: eight seconds at 500 Hz while the recorder is held up

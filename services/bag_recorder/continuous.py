@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import time
 
-from bag_recorder.bag import Bag, RecordedTopic, Sink
-from bag_recorder.clock import ClockChange, WallClock
-from bag_recorder.shelf import Shelf, told, wall_time
-from valor_common.instance import Recording
+from valor.bag_recorder.bag import Bag, RecordedTopic, Sink
+from valor.bag_recorder.clock import ClockChange, WallClock
+from valor.bag_recorder.shelf import Shelf, told, wall_time
+from valor.common.instance import Recording
 
 FLUSH_PERIOD = 0.5  # what SIGKILL may lose [s]
 SPACE_PERIOD = 1.0  # between two looks at the disk [s]

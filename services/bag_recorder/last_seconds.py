@@ -6,10 +6,10 @@ import logging
 import time
 from collections import deque
 
-from bag_recorder.bag import RecordedTopic, Sink
-from bag_recorder.clock import ClockChange
-from bag_recorder.shelf import Shelf, told
-from valor_common.messages import MotionState, SnapReply
+from valor.bag_recorder.bag import RecordedTopic, Sink
+from valor.bag_recorder.clock import ClockChange
+from valor.bag_recorder.shelf import Shelf, told
+from valor.common.messages import MotionState, SnapReply
 
 LIMIT = 256 << 20  # of memory for messages [B]
 AFTER_FALL = 2.0  # how long a fall goes on being recorded [s]

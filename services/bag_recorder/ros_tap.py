@@ -17,10 +17,10 @@ import yaml
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from bag_recorder.bag import RecordedTopic, Sink
-from bag_recorder.clock import WallClock
-from bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
-from valor_common.selection import Selection
+from valor.bag_recorder.bag import RecordedTopic, Sink
+from valor.bag_recorder.clock import WallClock
+from valor.bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
+from valor.common.selection import Selection
 
 DEPTH = 2000  # messages a topic that may wait for the next look
 ROUNDS = 8  # of discovery, in which every known topic is looked over once

@@ -5,18 +5,18 @@ from __future__ import annotations
 import logging
 import time
 
-from bag_recorder.bifrost_tap import BifrostTap
-from bag_recorder.clock import WallClock
-from bag_recorder.continuous import Continuous
-from bag_recorder.definitions import UnknownTypeError
-from bag_recorder.last_seconds import LastSeconds
-from bag_recorder.ros_tap import RosTap
-from bag_recorder.shelf import Shelf, told
-from valor_common.errors import ConfigurationError
-from valor_common.messages import MotionState, SnapReply, SnapRequest
-from valor_common.selection import Selection
-from valor_common.service import Context, quiet_collector
-from valor_common.topics import MOTION_STATE, SNAP
+from valor.bag_recorder.bifrost_tap import BifrostTap
+from valor.bag_recorder.clock import WallClock
+from valor.bag_recorder.continuous import Continuous
+from valor.bag_recorder.definitions import UnknownTypeError
+from valor.bag_recorder.last_seconds import LastSeconds
+from valor.bag_recorder.ros_tap import RosTap
+from valor.bag_recorder.shelf import Shelf, told
+from valor.common.errors import ConfigurationError
+from valor.common.messages import MotionState, SnapReply, SnapRequest
+from valor.common.selection import Selection
+from valor.common.service import Context, quiet_collector
+from valor.common.topics import MOTION_STATE, SNAP
 
 PERIOD = 0.1  # between two looks [s]; a look at some ninety topics has its price, and queues hold seconds
 DISCOVERY_PERIOD = 0.25  # [s]

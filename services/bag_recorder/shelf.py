@@ -12,14 +12,14 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 
-from bag_recorder import tally
-from bag_recorder.bag import Bag, RecordedTopic
-from bag_recorder.clock import ClockChange, WallClock
-from valor_common import rosbag2_metadata
-from valor_common.bag_index import BagError
-from valor_common.bag_recovery import recover
-from valor_common.errors import ConfigurationError
-from valor_common.service import Context
+from valor.bag_recorder import tally
+from valor.bag_recorder.bag import Bag, RecordedTopic
+from valor.bag_recorder.clock import ClockChange, WallClock
+from valor.common import rosbag2_metadata
+from valor.common.bag_index import BagError
+from valor.common.bag_recovery import recover
+from valor.common.errors import ConfigurationError
+from valor.common.service import Context
 
 SUFFIX = ".mcap"
 SPACE_KEPT = 64 << 20  # the disk is never filled beyond this [B]

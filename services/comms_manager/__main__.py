@@ -1,8 +1,8 @@
-"""``python -m comms_manager``."""
+"""``python -m valor.comms_manager``."""
 
 import sys
 
-from comms_manager.service import CommsManager
-from valor_common.service import run
+from valor.common.service import run
+from valor.comms_manager.service import CommsManager
 
 sys.exit(run("comms_manager", CommsManager))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from comms_manager.commands import Commands
-from valor_common.messages import Proprioceptor
+from valor.common.messages import Proprioceptor
+from valor.comms_manager.commands import Commands
 
 
 class Backend(ABC):

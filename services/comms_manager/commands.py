@@ -7,8 +7,8 @@ import math
 import time
 
 import bifrost
-from valor_common.messages import JointMode, Motor
-from valor_common.robot import RobotDescription
+from valor.common.messages import JointMode, Motor
+from valor.common.robot import RobotDescription
 
 COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
 MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held

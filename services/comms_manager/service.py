@@ -6,11 +6,11 @@ import time
 from collections import deque
 
 import bifrost
-from comms_manager.backend import Backend
-from comms_manager.commands import Commands
-from valor_common.messages import ClockStatus, Motor, Proprioceptor
-from valor_common.service import Context, quiet_collector
-from valor_common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
+from valor.common.messages import ClockStatus, Motor, Proprioceptor
+from valor.common.service import Context, quiet_collector
+from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
+from valor.comms_manager.backend import Backend
+from valor.comms_manager.commands import Commands
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
 
@@ -80,10 +80,10 @@ class CommsManager:
 def make_backend(context: Context) -> Backend:
     """The backend of the instance's variant; the other one's libraries are not even imported."""
     if context.settings.variant == "hardware":
-        from comms_manager.hardware.backend import Hardware
+        from valor.comms_manager.hardware.backend import Hardware
 
         return Hardware(context)
-    from comms_manager.simulation.backend import Simulation
+    from valor.comms_manager.simulation.backend import Simulation
 
     return Simulation(context)
 

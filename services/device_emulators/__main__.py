@@ -1,8 +1,8 @@
-"""``python -m device_emulators``."""
+"""``python -m valor.device_emulators``."""
 
 import sys
 
-from device_emulators.service import DeviceEmulators
-from valor_common.service import run
+from valor.common.service import run
+from valor.device_emulators.service import DeviceEmulators
 
 sys.exit(run("device_emulators", DeviceEmulators))

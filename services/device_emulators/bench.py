@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 
 import bifrost
-from device_emulators.emulator import EmulatedFault, Emulator, NoSuchFaultError
-from valor_common.messages import FaultReply, FaultRequest
-from valor_common.topics import FAULT
+from valor.common.messages import FaultReply, FaultRequest
+from valor.common.topics import FAULT
+from valor.device_emulators.emulator import EmulatedFault, Emulator, NoSuchFaultError
 
 LONGEST = 3600.0  # [s]
 _log = logging.getLogger("device_emulators")

@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 
-from device_emulators.dynamixel_bus import DynamixelBus, Servo
-from device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
-from device_emulators.robot import SimulatedRobot
-from device_emulators.serial_port import FaultyLine, SerialPort
-from valor_common.devices.dynamixel import MODELS, OperatingMode
-from valor_common.devices.ports import serial_port
-from valor_common.devices.table import Dynamixel, DynamixelServo
-from valor_common.instance import Instance, Settings
-from valor_common.messages import JointMode
-from valor_common.robot import RobotDescription
+from valor.common.devices.dynamixel import MODELS, OperatingMode
+from valor.common.devices.ports import serial_port
+from valor.common.devices.table import Dynamixel, DynamixelServo
+from valor.common.instance import Instance, Settings
+from valor.common.messages import JointMode
+from valor.common.robot import RobotDescription
+from valor.device_emulators.dynamixel_bus import DynamixelBus, Servo
+from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
+from valor.device_emulators.robot import SimulatedRobot
+from valor.device_emulators.serial_port import FaultyLine, SerialPort
 
 ADAPTER = "port"  # the unit that all servos are behind: unplugged, the port is gone
 JUMP = 0.5  # of an encoder [rad]

@@ -6,8 +6,8 @@ import math
 from abc import ABC, abstractmethod
 from enum import StrEnum
 
-from device_emulators.robot import SimulatedRobot
-from valor_common.errors import ValorError
+from valor.common.errors import ValorError
+from valor.device_emulators.robot import SimulatedRobot
 
 
 class EmulatedFault(StrEnum):

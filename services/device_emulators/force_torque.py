@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from device_emulators.can_emulator import CanEmulator
-from device_emulators.emulator import EmulatedFault, FaultSwitches
-from device_emulators.robot import SimulatedRobot
-from valor_common.devices import can_frames
-from valor_common.devices.can_frames import Identity, Status
-from valor_common.devices.end_to_end import protect
-from valor_common.devices.ports import open_can
-from valor_common.devices.table import FtCan
-from valor_common.instance import Instance, Settings
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.devices import can_frames
+from valor.common.devices.can_frames import Identity, Status
+from valor.common.devices.end_to_end import protect
+from valor.common.devices.ports import open_can
+from valor.common.devices.table import FtCan
+from valor.common.instance import Instance, Settings
+from valor.common.robot import FloatVector, RobotDescription
+from valor.device_emulators.can_emulator import CanEmulator
+from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.robot import SimulatedRobot
 
 FEVER, NORMAL = 90.0, 31.0  # [°C]
 

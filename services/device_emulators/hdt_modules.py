@@ -10,16 +10,16 @@ from dataclasses import dataclass, field, replace
 import can
 import numpy as np
 
-from device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches, NoSuchFaultError
-from device_emulators.robot import Places, SimulatedRobot
-from valor_common.devices import hdt_bus
-from valor_common.devices.hdt_bus import Fault, SegmentState, Setpoints
-from valor_common.devices.ports import open_can
-from valor_common.devices.table import HdtBifrost
-from valor_common.instance import Instance, Settings
-from valor_common.messages import JointMode
-from valor_common.robot import FloatVector, RobotDescription
-from valor_simulation.gears import Gears
+from valor.common.devices import hdt_bus
+from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints
+from valor.common.devices.ports import open_can
+from valor.common.devices.table import HdtBifrost
+from valor.common.instance import Instance, Settings
+from valor.common.messages import JointMode
+from valor.common.robot import FloatVector, RobotDescription
+from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches, NoSuchFaultError
+from valor.device_emulators.robot import Places, SimulatedRobot
+from valor.simulation.gears import Gears
 
 SUPPLY = 48.0  # [V]
 LATENESS = 0.03  # [s]

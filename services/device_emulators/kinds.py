@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from device_emulators.dynamixel import DynamixelEmulator
-from device_emulators.emulator import Emulator
-from device_emulators.force_torque import ForceTorqueEmulator
-from device_emulators.hdt_modules import HdtModules
-from device_emulators.microstrain import MicroStrainEmulator
-from device_emulators.series_elastic import SeriesElasticEmulator
-from valor_common.errors import ConfigurationError
-from valor_common.instance import Instance, Settings
-from valor_common.robot import RobotDescription
+from valor.common.errors import ConfigurationError
+from valor.common.instance import Instance, Settings
+from valor.common.robot import RobotDescription
+from valor.device_emulators.dynamixel import DynamixelEmulator
+from valor.device_emulators.emulator import Emulator
+from valor.device_emulators.force_torque import ForceTorqueEmulator
+from valor.device_emulators.hdt_modules import HdtModules
+from valor.device_emulators.microstrain import MicroStrainEmulator
+from valor.device_emulators.series_elastic import SeriesElasticEmulator
 
 Maker = Callable[[str, Instance, Settings, RobotDescription], Emulator]
 

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
-from valor_common.devices.table import SeaCanFd
-from valor_common.instance import Settings
-from valor_common.messages import JointMode, Motor, Proprioceptor
-from valor_common.robot import RobotDescription
-from valor_simulation.plant import Plant
-from valor_simulation.sensors import Sensors
+from valor.common.devices.table import SeaCanFd
+from valor.common.instance import Settings
+from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.robot import RobotDescription
+from valor.simulation.plant import Plant
+from valor.simulation.sensors import Sensors
 
 Places = npt.NDArray[np.intp]
 STALENESS = 3  # of the newest command to the drives that carry it, from which on time stands still [control periods]

@@ -10,7 +10,7 @@ import tty
 from collections import deque
 from pathlib import Path
 
-from device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
 
 LATENESS = 0.03  # of late answers [s]
 SLOWNESS = 10  # a slow unit's packets get through one in so many

@@ -5,16 +5,16 @@ from __future__ import annotations
 import can
 import numpy as np
 
-from device_emulators.can_emulator import CanEmulator
-from device_emulators.emulator import EmulatedFault, FaultSwitches
-from device_emulators.robot import SimulatedRobot
-from valor_common.devices import can_frames
-from valor_common.devices.can_frames import Code, Identity, Status
-from valor_common.devices.end_to_end import protect
-from valor_common.devices.ports import open_can
-from valor_common.devices.table import MotorController, SeaCanFd
-from valor_common.instance import Instance, Settings
-from valor_common.robot import RobotDescription
+from valor.common.devices import can_frames
+from valor.common.devices.can_frames import Code, Identity, Status
+from valor.common.devices.end_to_end import protect
+from valor.common.devices.ports import open_can
+from valor.common.devices.table import MotorController, SeaCanFd
+from valor.common.instance import Instance, Settings
+from valor.common.robot import RobotDescription
+from valor.device_emulators.can_emulator import CanEmulator
+from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.robot import SimulatedRobot
 
 WATCHDOG = 0.1  # without a command for so long, a controller holds its joints [s]
 JUMP = 0.5  # of the first axis' encoder [rad]

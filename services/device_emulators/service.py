@@ -6,18 +6,18 @@ import logging
 import selectors
 import time
 
-from device_emulators.bench import FaultServer
-from device_emulators.emulator import Emulator
-from device_emulators.kinds import make
-from device_emulators.robot import SimulatedRobot
-from valor_common.messages import GroundTruth
-from valor_common.pacing import Wall
-from valor_common.priority import take_real_time
-from valor_common.processes import BY_NAME
-from valor_common.service import Context, quiet_collector
-from valor_common.topics import GROUND_TRUTH
-from valor_simulation.push import PushServer
-from valor_simulation.truth import Truth
+from valor.common.messages import GroundTruth
+from valor.common.pacing import Wall
+from valor.common.priority import take_real_time
+from valor.common.processes import BY_NAME
+from valor.common.service import Context, quiet_collector
+from valor.common.topics import GROUND_TRUTH
+from valor.device_emulators.bench import FaultServer
+from valor.device_emulators.emulator import Emulator
+from valor.device_emulators.kinds import make
+from valor.device_emulators.robot import SimulatedRobot
+from valor.simulation.push import PushServer
+from valor.simulation.truth import Truth
 
 TURN = 0.002  # that the plant stays behind the wall at most, when nobody looks at it or moves it [s]
 TELL_EVERY = 1.0  # how commands come, and what the wall has cost [s]

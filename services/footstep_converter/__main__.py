@@ -1,8 +1,8 @@
-"""``python -m footstep_converter``."""
+"""``python -m valor.footstep_converter``."""
 
 import sys
 
-from footstep_converter.service import FootstepConverter
-from valor_common.service import run
+from valor.common.service import run
+from valor.footstep_converter.service import FootstepConverter
 
 sys.exit(run("footstep_converter", FootstepConverter))

@@ -19,9 +19,9 @@ from rclpy.timer import Timer
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import StepPlan
 
-from footstep_converter.execution import End, Execution, Outcome
-from footstep_converter.feedback import FeedbackMaker, final_state
-from footstep_converter.plan import ODOM
+from valor.footstep_converter.execution import End, Execution, Outcome
+from valor.footstep_converter.feedback import FeedbackMaker, final_state
+from valor.footstep_converter.plan import ODOM
 
 NAMESPACE = "/robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic

@@ -12,8 +12,8 @@ from enum import Enum
 
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
 
-from footstep_converter.plan import PlannedStep, RunningPlan
-from valor_common.messages import StepStatus
+from valor.common.messages import StepStatus
+from valor.footstep_converter.plan import PlannedStep, RunningPlan
 
 SILENCE = 4.0  # without a word of the Motion Manager, it is lost [s]
 START = 2.0  # from acceptance to the first word of steps being taken [robot time, s]

@@ -6,8 +6,8 @@ from builtin_interfaces.msg import Time
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, Step
 
-from footstep_converter.execution import End, Execution, Outcome
-from footstep_converter.plan import ODOM, PlannedStep
+from valor.footstep_converter.execution import End, Execution, Outcome
+from valor.footstep_converter.plan import ODOM, PlannedStep
 
 
 class FeedbackMaker:

@@ -15,9 +15,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from tf2_msgs.msg import TFMessage
 
-from footstep_converter.plan import ODOM
-from valor_common.poses import Pose
-from valor_common.transforms import TransformBuffer
+from valor.common.poses import Pose
+from valor.common.transforms import TransformBuffer
+from valor.footstep_converter.plan import ODOM
 
 HISTORY = 10.0  # for which transforms are kept [s], as tf2 does
 MOST = 5000  # messages kept unread

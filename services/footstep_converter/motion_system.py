@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import bifrost
-from footstep_converter.plan import PlannedStep
-from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
-from valor_common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
+from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
+from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
+from valor.footstep_converter.plan import PlannedStep
 
 ANSWER = 2.0  # the Motion Manager answers a plan within this [s]
 

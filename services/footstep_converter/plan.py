@@ -14,11 +14,11 @@ import geometry_msgs.msg
 import numpy as np
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
-from valor_common.errors import ValorError
-from valor_common.messages import Footstep
-from valor_common.poses import Pose
-from valor_common.robot import Feet, Footsteps
-from valor_common.soles import outline, overlap
+from valor.common.errors import ValorError
+from valor.common.messages import Footstep
+from valor.common.poses import Pose
+from valor.common.robot import Feet, Footsteps
+from valor.common.soles import outline, overlap
 
 ODOM = "odom"
 FEET = {Foot.LEFT: "left", Foot.RIGHT: "right"}

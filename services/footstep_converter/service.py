@@ -18,15 +18,15 @@ from rclpy.signals import SignalHandlerOptions
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
 
 import bifrost
-from footstep_converter.clients import Clients, Goal
-from footstep_converter.execution import End, Execution, Outcome, aborted, refusal
-from footstep_converter.frames import Frames
-from footstep_converter.motion_system import ANSWER, MotionSystem
-from footstep_converter.plan import Limits, PlanError, PlannedStep, check_size, convert, frame
-from valor_common.messages import FootstepPlanReply, StepStatus
-from valor_common.service import Context
-from valor_common.topics import FOOTSTEP_PLAN
-from valor_common.transforms import TooNewError, TransformError
+from valor.common.messages import FootstepPlanReply, StepStatus
+from valor.common.service import Context
+from valor.common.topics import FOOTSTEP_PLAN
+from valor.common.transforms import TooNewError, TransformError
+from valor.footstep_converter.clients import Clients, Goal
+from valor.footstep_converter.execution import End, Execution, Outcome, aborted, refusal
+from valor.footstep_converter.frames import Frames
+from valor.footstep_converter.motion_system import ANSWER, MotionSystem
+from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, check_size, convert, frame
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]

@@ -1,8 +1,8 @@
-"""``python -m hdt_bridge``."""
+"""``python -m valor.hdt_bridge``."""
 
 import sys
 
-from hdt_bridge.service import HdtBridge
-from valor_common.service import run
+from valor.common.service import run
+from valor.hdt_bridge.service import HdtBridge
 
 sys.exit(run("hdt_bridge", HdtBridge))

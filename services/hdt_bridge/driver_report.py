@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from valor_common.messages import Statistics
+from valor.common.messages import Statistics
 
 DRIVER = "hdt_driver"
 

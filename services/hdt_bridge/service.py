@@ -19,13 +19,13 @@ from valor_msgs.msg import HdtCommand as RosCommand
 from valor_msgs.msg import HdtState as RosState
 
 import bifrost
-from hdt_bridge.driver_report import DRIVER, statistics
-from hdt_bridge.twin import Twin
-from valor_common.devices.table import HdtBifrost
-from valor_common.errors import ConfigurationError
-from valor_common.messages import HdtCommand, HdtState, Statistics
-from valor_common.service import Context, quiet_collector
-from valor_common.topics import STATISTICS, TOPICS
+from valor.common.devices.table import HdtBifrost
+from valor.common.errors import ConfigurationError
+from valor.common.messages import HdtCommand, HdtState, Statistics
+from valor.common.service import Context, quiet_collector
+from valor.common.topics import STATISTICS, TOPICS
+from valor.hdt_bridge.driver_report import DRIVER, statistics
+from valor.hdt_bridge.twin import Twin
 
 LOOK_EVERY = 0.004  # at ROS, which nobody waits for [s]
 

@@ -1,7 +1,7 @@
-"""``python -m hdt_driver``."""
+"""``python -m valor.hdt_driver``."""
 
 import sys
 
-from hdt_driver.service import main
+from valor.hdt_driver.service import main
 
 sys.exit(main())

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import can
 
-from hdt_driver.limb import Limb
-from valor_common.devices import hdt_bus
-from valor_common.devices.table import HdtLimb
+from valor.common.devices import hdt_bus
+from valor.common.devices.table import HdtLimb
+from valor.hdt_driver.limb import Limb
 
 MISSES = 15  # cycles without an answer, after which a segment is silent
 AT_ONCE = 64  # frames that have come already are taken when a cycle is over, at most

@@ -22,8 +22,8 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from valor_msgs.msg import HdtCommand, HdtState
 
-from hdt_driver.limb import Command, Limb
-from valor_common.devices.hdt_bus import Setpoints
+from valor.common.devices.hdt_bus import Setpoints
+from valor.hdt_driver.limb import Command, Limb
 
 NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 

@@ -12,18 +12,18 @@ from types import FrameType
 
 import psutil
 
-from hdt_driver.bus import ModuleBus
-from hdt_driver.limb import Limb
-from hdt_driver.ros import DriverNode
-from valor_common.devices import hdt_bus
-from valor_common.devices.hdt_bus import Fault
-from valor_common.devices.ports import open_can
-from valor_common.devices.table import HdtBifrost
-from valor_common.errors import ConfigurationError
-from valor_common.instance import Instance, Settings
-from valor_common.priority import take_priority
-from valor_common.processes import BY_NAME
-from valor_common.robot import RobotDescription
+from valor.common.devices import hdt_bus
+from valor.common.devices.hdt_bus import Fault
+from valor.common.devices.ports import open_can
+from valor.common.devices.table import HdtBifrost
+from valor.common.errors import ConfigurationError
+from valor.common.instance import Instance, Settings
+from valor.common.priority import take_priority
+from valor.common.processes import BY_NAME
+from valor.common.robot import RobotDescription
+from valor.hdt_driver.bus import ModuleBus
+from valor.hdt_driver.limb import Limb
+from valor.hdt_driver.ros import DriverNode
 
 DIAGNOSE_EVERY = 1.0  # and at every change of state [s]
 

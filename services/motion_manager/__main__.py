@@ -1,8 +1,8 @@
-"""Start the Motion Manager: ``python -m motion_manager``."""
+"""Start the Motion Manager: ``python -m valor.motion_manager``."""
 
 import sys
 
-from motion_manager.service import MotionManagerService
-from valor_common.service import run
+from valor.common.service import run
+from valor.motion_manager.service import MotionManagerService
 
 sys.exit(run("motion_manager", MotionManagerService))

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
-from motion_manager.behaviors import (
+from valor.common.errors import ValorError
+from valor.common.messages import REQUESTED_BY
+from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     INTERNAL_STATES,
@@ -21,8 +23,6 @@ from motion_manager.behaviors import (
     Locomotion,
     Manipulation,
 )
-from valor_common.errors import ValorError
-from valor_common.messages import REQUESTED_BY
 
 S = TypeVar("S", bound=StrEnum)
 

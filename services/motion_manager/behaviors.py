@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 
-from valor_common.errors import ConfigurationError
-from valor_common.robot import RobotDescription
+from valor.common.errors import ConfigurationError
+from valor.common.robot import RobotDescription
 
 
 class Behavior(StrEnum):

@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.joint_reference import Joints
-from motion_manager.kernel import Expression, Kernel, clipped
-from motion_manager.whole_body import WholeBodyCommand
-from valor_common.messages import JointMode, Motor
-from valor_common.model import WHOLE_BODY_GROUPS
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.messages import JointMode, Motor
+from valor.common.model import WHOLE_BODY_GROUPS
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.joint_reference import Joints
+from valor.motion_manager.kernel import Expression, Kernel, clipped
+from valor.motion_manager.whole_body import WholeBodyCommand
 
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Behavior
-from valor_common.messages import DeviceStatus
+from valor.common.messages import DeviceStatus
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Behavior
 
 _B = Behavior
 

@@ -3,7 +3,7 @@
 The joints go by their servos from key pose to key pose, minimum jerk. Which attitude the pelvis must have at the end of
 each is part of the table: a robot that is elsewhere has slipped, is held or was not lying as it seemed, and gives up.
 On its soles it balances: the ankles lead the CoM, which goes on as it moves, to the middle of the soles.
-The table is made offline, by optimisation (``valor_planning``).
+The table is made offline, by optimisation (``valor.planning``).
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from motion_manager.command import MotorCommand
-from motion_manager.posture_move import PostureMove
-from motion_manager.whole_body import RobotState
-from valor_common.errors import ConfigurationError
-from valor_common.robot import FloatVector, RobotDescription
-from valor_common.table import NonNegative, Positive, Table, read
+from valor.common.errors import ConfigurationError
+from valor.common.robot import FloatVector, RobotDescription
+from valor.common.table import NonNegative, Positive, Table, read
+from valor.motion_manager.command import MotorCommand
+from valor.motion_manager.posture_move import PostureMove
+from valor.motion_manager.whole_body import RobotState
 
 FILE = "get_up.yaml"  # in the robot's folder
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from valor_common.messages import Proprioceptor
-from valor_common.robot import Hands
+from valor.common.messages import Proprioceptor
+from valor.common.robot import Hands
 
 
 class HandContacts:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.joint_reference import Joints
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.joint_reference import Joints
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]
 

@@ -13,10 +13,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel
-from motion_manager.limiter import JointLimiter
-from motion_manager.posture_move import PostureMove
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.limiter import JointLimiter
+from valor.motion_manager.posture_move import PostureMove
 
 Joints = npt.NDArray[np.bool_]  # (n,) which ones
 

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from valor_common.robot import FloatVector
+from valor.common.robot import FloatVector
 
 Expression = Any
 """A ``casadi.SX``, for which there are no types."""

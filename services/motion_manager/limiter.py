@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel, clipped
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel, clipped
 
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
 ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]; robots publish no acceleration limits

@@ -12,27 +12,31 @@ from math import acos, degrees
 
 import numpy as np
 
-from motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from motion_manager.behaviors import BALANCING, RECOVERING, Behavior, Locomotion, Manipulation
-from motion_manager.command import MotorCommand
-from motion_manager.device_reactions import DeviceReactions
-from motion_manager.get_up import GetUp
-from motion_manager.hand_contact import HandContacts
-from motion_manager.hand_goals import HandGoals
-from motion_manager.handlers.behavior import BehaviorHandler
-from motion_manager.handlers.footstep_plan import FootstepPlanHandler
-from motion_manager.handlers.hand_goal import HandGoalHandler
-from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
-from motion_manager.handlers.pelvis import PelvisHandler
-from motion_manager.handlers.tuning import TuningHandler
-from motion_manager.handlers.velocity import VelocityHandler
-from motion_manager.joint_gains import JointGains
-from motion_manager.joint_reference import JointReference
-from motion_manager.posture_control import PostureControl
-from motion_manager.rejections import Rejections
-from motion_manager.upper_body import UpperBody
-from motion_manager.watchdogs import Gap, ProprioceptorWatchdog
-from motion_manager.whole_body import (
+from valor.common.messages import MotionState, Motor, Proprioceptor
+from valor.common.model import Model
+from valor.common.robot import FloatVector, RobotDescription
+from valor.common.topics import PROPRIOCEPTOR
+from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from valor.motion_manager.behaviors import BALANCING, RECOVERING, Behavior, Locomotion, Manipulation
+from valor.motion_manager.command import MotorCommand
+from valor.motion_manager.device_reactions import DeviceReactions
+from valor.motion_manager.get_up import GetUp
+from valor.motion_manager.hand_contact import HandContacts
+from valor.motion_manager.hand_goals import HandGoals
+from valor.motion_manager.handlers.behavior import BehaviorHandler
+from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from valor.motion_manager.handlers.hand_goal import HandGoalHandler
+from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from valor.motion_manager.handlers.pelvis import PelvisHandler
+from valor.motion_manager.handlers.tuning import TuningHandler
+from valor.motion_manager.handlers.velocity import VelocityHandler
+from valor.motion_manager.joint_gains import JointGains
+from valor.motion_manager.joint_reference import JointReference
+from valor.motion_manager.posture_control import PostureControl
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.upper_body import UpperBody
+from valor.motion_manager.watchdogs import Gap, ProprioceptorWatchdog
+from valor.motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,
     QpStatus,
@@ -41,15 +45,11 @@ from motion_manager.whole_body import (
     WholeBodyCommand,
     WholeBodyController,
 )
-from motion_manager.whole_body.walking.footsteps import StepSource
-from motion_manager.whole_body.walking.gait import sole_poses
-from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.swing import SolePose
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
-from valor_common.messages import MotionState, Motor, Proprioceptor
-from valor_common.model import Model
-from valor_common.robot import FloatVector, RobotDescription
-from valor_common.topics import PROPRIOCEPTOR
+from valor.motion_manager.whole_body.walking.footsteps import StepSource
+from valor.motion_manager.whole_body.walking.gait import sole_poses
+from valor.motion_manager.whole_body.walking.step_queue import StepQueue
+from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 BLEND = 0.3  # over which the Whole-Body Controller takes the joints over [s]
 FAULTS_TO_FALL = 5  # consecutive periods without a believable Proprioceptor, or with an error of ours

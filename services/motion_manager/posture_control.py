@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from motion_manager.command import MotorCommand
-from motion_manager.joint_reference import JointReference
-from motion_manager.posture_move import PostureMove
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.command import MotorCommand
+from valor.motion_manager.joint_reference import JointReference
+from valor.motion_manager.posture_move import PostureMove
 
 SETTLING = 0.3  # after a move, until the posture counts as reached [s]
 AT_REST = 0.3  # joints slower than this have settled [rad/s]

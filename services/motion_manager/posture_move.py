@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from valor_common.robot import FloatVector
+from valor.common.robot import FloatVector
 
 # Of s(τ) = 10τ³ − 15τ⁴ + 6τ⁵ (Flash and Hogan, 1985), τ from 0 to 1.
 _PEAK_VELOCITY = 1.875

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 
-from valor_common.messages import Rejection
+from valor.common.messages import Rejection
 
 PERIOD = 0.2  # between publications of one kind from one sender [s]
 _KINDS = 256  # remembered; more, and all are forgotten

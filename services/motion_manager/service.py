@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 
 import bifrost
-from motion_manager.hand_goals import SIDES
-from motion_manager.manager import MotionManager
-from valor_common.messages import (
+from valor.common.messages import (
     BalanceWeights,
     BehaviorReply,
     BehaviorRequest,
@@ -31,11 +29,11 @@ from valor_common.messages import (
     StepStatus,
     VelocityCommand,
 )
-from valor_common.model import controller_model
-from valor_common.priority import take_real_time
-from valor_common.processes import BY_NAME
-from valor_common.service import Context, quiet_collector
-from valor_common.topics import (
+from valor.common.model import controller_model
+from valor.common.priority import take_real_time
+from valor.common.processes import BY_NAME
+from valor.common.service import Context, quiet_collector
+from valor.common.topics import (
     BALANCE_WEIGHTS,
     BEHAVIOR,
     DEVICES,
@@ -52,6 +50,8 @@ from valor_common.topics import (
     STEP_STATUS,
     VELOCITY,
 )
+from valor.motion_manager.hand_goals import SIDES
+from valor.motion_manager.manager import MotionManager
 
 SETPOINT_QUEUE = 16  # joints' and pelvis': more than that in one control period are dropped and counted
 VELOCITY_QUEUE = 4  # likewise

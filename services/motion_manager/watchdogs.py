@@ -10,8 +10,8 @@ from operator import attrgetter
 import casadi as ca
 import numpy as np
 
-from motion_manager.kernel import Expression, Kernel, pieces
-from valor_common.messages import Proprioceptor
+from valor.common.messages import Proprioceptor
+from valor.motion_manager.kernel import Expression, Kernel, pieces
 
 LONGEST_GAP = 0.1  # of robot time between two Proprioceptors of a robot in our hands [s]
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from typing import Protocol
 
 import bifrost
-from valor_common import topics
-from valor_common.messages import BehaviorReply, BehaviorRequest
-from valor_ros_controller.behavior_transition import BehaviorAnswer
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.common import topics
+from valor.common.messages import BehaviorReply, BehaviorRequest
+from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 ANSWER_TIMEOUT = 2.0
 """How long the Motion Manager may take to answer a behavior command [s]."""

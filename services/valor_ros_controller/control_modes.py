@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from valor_common.table import Table, read
+from valor.common.table import Table, read
 
 FILE = Path(__file__).with_name("control_modes.yaml")
 

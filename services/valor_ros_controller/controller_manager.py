@@ -10,8 +10,8 @@ import logging
 from collections.abc import Iterable, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from valor_common.errors import ConfigurationError
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.common.errors import ConfigurationError
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("controller_manager")
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-from valor_ros_controller.controller_manager import ControllerManager
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.controller_manager import ControllerManager
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
 class Strictness(IntEnum):

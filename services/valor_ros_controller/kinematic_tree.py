@@ -14,8 +14,8 @@ from pathlib import Path
 
 import msgspec
 
-from valor_common.errors import ConfigurationError
-from valor_common.robot import RobotDescription
+from valor.common.errors import ConfigurationError
+from valor.common.robot import RobotDescription
 
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
@@ -59,7 +59,7 @@ class KinematicTree(msgspec.Struct, frozen=True):
             ConfigurationError: the model cannot be read, or a link has several joints.
         """
         result = subprocess.run(
-            [sys.executable, "-m", "valor_ros_controller.kinematic_tree", str(robot.folder)],
+            [sys.executable, "-m", "valor.valor_ros_controller.kinematic_tree", str(robot.folder)],
             capture_output=True,
             text=True,
             check=False,
@@ -82,8 +82,8 @@ def read(robot: RobotDescription) -> KinematicTree:
     """
     import mujoco
 
-    from valor_common.model import full_model
-    from valor_ros_controller.urdf import robot_description
+    from valor.common.model import full_model
+    from valor.valor_ros_controller.urdf import robot_description
 
     mj = full_model(robot, "all").mj
     tables = robot.tables

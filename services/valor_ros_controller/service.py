@@ -14,33 +14,33 @@ from math import nan
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterDescriptor
 
-from valor_common.processes import PROCESSES
-from valor_common.service import Context, quiet_collector
-from valor_ros_controller.behavior_commander import BehaviorCommander
-from valor_ros_controller.control_modes import ControlModeTable
-from valor_ros_controller.controllers.configuration import ControllersTable
-from valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor_ros_controller.controllers.footstep_controller import FootstepController
-from valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor_ros_controller.controllers.tracking_controller import TrackingController
-from valor_ros_controller.kinematic_tree import KinematicTree
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor_ros_controller.ros.control_mode_action import ControlModeAction
-from valor_ros_controller.ros.controller_bypass import ControllerBypass
-from valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
-from valor_ros_controller.ros.controller_state import ControllerStatePublisher
-from valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
-from valor_ros_controller.ros.footstep_state import FootstepStatePublisher
-from valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
-from valor_ros_controller.ros.motion_state_publisher import MotionStatePublisher
-from valor_ros_controller.ros.node import RosThread
-from valor_ros_controller.ros.parameters import RATE, Parameters, Range, TrajectoryParameters
-from valor_ros_controller.ros.publisher import Publisher
-from valor_ros_controller.ros.robot_status import RobotStatusPublisher
-from valor_ros_controller.ros.tracking_action import TrackingAction
-from valor_ros_controller.valor_escher_controller import ValorEscherController
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+from valor.common.processes import PROCESSES
+from valor.common.service import Context, quiet_collector
+from valor.valor_ros_controller.behavior_commander import BehaviorCommander
+from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
+from valor.valor_ros_controller.controllers.footstep_controller import FootstepController
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
+from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.ros.control_mode_action import ControlModeAction
+from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
+from valor.valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
+from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher
+from valor.valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
+from valor.valor_ros_controller.ros.footstep_state import FootstepStatePublisher
+from valor.valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
+from valor.valor_ros_controller.ros.motion_state_publisher import MotionStatePublisher
+from valor.valor_ros_controller.ros.node import RosThread
+from valor.valor_ros_controller.ros.parameters import RATE, Parameters, Range, TrajectoryParameters
+from valor.valor_ros_controller.ros.publisher import Publisher
+from valor.valor_ros_controller.ros.robot_status import RobotStatusPublisher
+from valor.valor_ros_controller.ros.tracking_action import TrackingAction
+from valor.valor_ros_controller.valor_escher_controller import ValorEscherController
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 _log = logging.getLogger("valor_ros_controller")
 

@@ -17,10 +17,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor_common.robot import Joint, RobotDescription
+from valor.common.robot import Joint, RobotDescription
 
 if TYPE_CHECKING:
-    from valor_ros_controller.kinematic_tree import KinematicTree, Link
+    from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link
 
 Matrix = npt.NDArray[np.float64]
 Shape = tuple[str, dict[str, str], Matrix, Matrix]  # element, its attributes, position (3,) [m], rotation (3, 3)

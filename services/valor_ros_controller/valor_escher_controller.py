@@ -17,13 +17,13 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from valor_ros_controller.control_modes import ControlModeTable
-from valor_ros_controller.controller_manager import Controller, ControllerManager
-from valor_ros_controller.controller_switch import ControllerSwitch
-from valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor_ros_controller.update_queue import UpdateQueue
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.controller_manager import Controller, ControllerManager
+from valor.valor_ros_controller.controller_switch import ControllerSwitch
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
+from valor.valor_ros_controller.update_queue import UpdateQueue
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 WAIT = 0.02
 """Without a Proprioceptor the loop still looks after modes and goals this often [s]."""

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor_common.messages import MotionState, Proprioceptor
-from valor_common.robot import RobotDescription
-from valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.common.messages import MotionState, Proprioceptor
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
 
 PELVIS = "pelvis"
 """Stands for the pelvis' six among the groups of joints."""

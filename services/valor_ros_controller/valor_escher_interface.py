@@ -14,8 +14,8 @@ from math import isfinite
 import numpy as np
 
 import bifrost
-from valor_common import topics
-from valor_common.messages import (
+from valor.common import topics
+from valor.common.messages import (
     ControlModeReport,
     JointSetpoints,
     MotionState,
@@ -23,11 +23,11 @@ from valor_common.messages import (
     Proprioceptor,
     StepStatus,
 )
-from valor_ros_controller.behavior_commander import Commander
-from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
-from valor_ros_controller.controllers.control_mode_controller import ModeReport
-from valor_ros_controller.trajectory.limits import Indices, Vector
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.behavior_commander import Commander
+from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
+from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
+from valor.valor_ros_controller.trajectory.limits import Indices, Vector
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
 

@@ -49,7 +49,7 @@ from vigir_footstep_planning_msgs.msg import (
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
-from valor_common.resources import middleware_profile
+from valor.common.resources import middleware_profile
 
 POINT, MULTI = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 TOLERANCES = {"position": "double", "velocity": "double", "acceleration": "double"}

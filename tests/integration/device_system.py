@@ -11,8 +11,8 @@ from typing import Generic, TypeVar
 
 import bifrost
 from tests.conftest import RunningInstance, fresh_instance, wait_until
-from valor_common.messages import BehaviorReply, BehaviorRequest, DeviceStatus, MotionState
-from valor_common.topics import BEHAVIOR, DEVICES, MOTION_STATE, STATISTICS
+from valor.common.messages import BehaviorReply, BehaviorRequest, DeviceStatus, MotionState
+from valor.common.topics import BEHAVIOR, DEVICES, MOTION_STATE, STATISTICS
 
 M = TypeVar("M", bound=bifrost.Message)
 PATIENCE = 60.0  # [s]

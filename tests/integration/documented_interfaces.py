@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.configuration import ControllersTable
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "interfaces.md"
 

@@ -12,10 +12,10 @@ from collections.abc import Callable
 import numpy as np
 
 import bifrost
-from valor_common.instance import Instance
-from valor_common.messages import JointMode, Motor, Proprioceptor
-from valor_common.robot import RobotDescription
-from valor_common.topics import MOTOR, PROPRIOCEPTOR
+from valor.common.instance import Instance
+from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.robot import RobotDescription
+from valor.common.topics import MOTOR, PROPRIOCEPTOR
 
 
 class ServoClient:

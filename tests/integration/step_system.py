@@ -30,15 +30,15 @@ from vigir_humanoid_control_msgs.msg import ControlModeStatus
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.system import RosClient
-from valor_common.instance import Instance, Settings
-from valor_common.messages import GroundTruth, MotionState, PushReply, PushRequest, StepStatus
-from valor_common.model import full_model
-from valor_common.poses import Pose
-from valor_common.robot import RobotDescription
-from valor_common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
-from valor_common.transforms import TransformBuffer, TransformError
-from valorctl.step_plan import FEET, PlanStep
-from valorctl.step_planner import middle
+from valor.common.instance import Instance, Settings
+from valor.common.messages import GroundTruth, MotionState, PushReply, PushRequest, StepStatus
+from valor.common.model import full_model
+from valor.common.poses import Pose
+from valor.common.robot import RobotDescription
+from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
+from valor.common.transforms import TransformBuffer, TransformError
+from valor.valorctl.step_plan import FEET, PlanStep
+from valor.valorctl.step_planner import middle
 
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"

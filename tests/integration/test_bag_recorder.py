@@ -31,20 +31,20 @@ from std_msgs.msg import String
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 
 import bifrost
-from bag_recorder.bag import Bag, RecordedTopic
-from bag_recorder.bifrost_tap import BifrostTap
-from bag_recorder.clock import WallClock
-from bag_recorder.definitions import definition
-from bag_recorder.last_seconds import AFTER_FALL
 from tests.conftest import RunningInstance, wait_until
 from tests.unit.motion_states import motion_state
-from valor_common.bag_recovery import recover
-from valor_common.errors import ValorError
-from valor_common.instance import Instance, Recording
-from valor_common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
-from valor_common.service import EXIT_CONFIGURATION
-from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
-from valorctl import bag_player
+from valor.bag_recorder.bag import Bag, RecordedTopic
+from valor.bag_recorder.bifrost_tap import BifrostTap
+from valor.bag_recorder.clock import WallClock
+from valor.bag_recorder.definitions import definition
+from valor.bag_recorder.last_seconds import AFTER_FALL
+from valor.common.bag_recovery import recover
+from valor.common.errors import ValorError
+from valor.common.instance import Instance, Recording
+from valor.common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
+from valor.common.service import EXIT_CONFIGURATION
+from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
+from valor.valorctl import bag_player
 
 JOINTS = 38
 SECOND = 1_000_000_000

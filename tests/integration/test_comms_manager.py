@@ -17,7 +17,7 @@ import pytest
 import bifrost
 from tests.conftest import REPOSITORY, RunningInstance, wait_until
 from tests.integration.servo_client import ServoClient
-from valor_common.messages import (
+from valor.common.messages import (
     ClockStatus,
     GroundTruth,
     JointMode,
@@ -27,9 +27,9 @@ from valor_common.messages import (
     PushRequest,
     Statistics,
 )
-from valor_common.robot import RobotDescription
-from valor_common.service import EXIT_CONFIGURATION
-from valor_common.topics import CLOCK, COMMS_MANAGER_STATISTICS, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, Topic
+from valor.common.robot import RobotDescription
+from valor.common.service import EXIT_CONFIGURATION
+from valor.common.topics import CLOCK, COMMS_MANAGER_STATISTICS, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, Topic
 
 ROBOT = RobotDescription.load(REPOSITORY / "robots" / "escher")
 WEIGHT = 75.9 * 9.81

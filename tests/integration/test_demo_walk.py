@@ -11,8 +11,8 @@ import matplotlib.image
 import pytest
 
 from tests.system import VALORCTL, System, leftovers, shared_memory
-from valor_analysis.bag import Bag
-from valorctl import walk_demonstration
+from valor.analysis.bag import Bag
+from valor.valorctl import walk_demonstration
 
 ARGUMENTS = ("demo", "walk", "--speed", "0.3", "--seed", "1", "--rtf", "0")
 

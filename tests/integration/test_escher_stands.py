@@ -20,10 +20,10 @@ import bifrost
 from tests.conftest import wait_until
 from tests.integration.vrc_system import stamp
 from tests.system import RosClient, System, leftovers, running, shared_memory
-from valor_common.instance import Instance
-from valor_common.messages import GroundTruth, MotionState, Proprioceptor
-from valor_common.robot import RobotDescription
-from valor_common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.common.instance import Instance
+from valor.common.messages import GroundTruth, MotionState, Proprioceptor
+from valor.common.robot import RobotDescription
+from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 
 SERVICES = {
     "bifrostd", "motion_manager", "comms_manager", "valor_ros_controller", "footstep_converter", "bag_recorder",

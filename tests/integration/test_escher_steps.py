@@ -28,8 +28,8 @@ from tests.integration.step_system import (
     put,
     system,
 )
-from valor_common.poses import Pose, level
-from valorctl.step_plan import FEET, PlanStep, load
+from valor.common.poses import Pose, level
+from valor.valorctl.step_plan import FEET, PlanStep, load
 
 S = FootstepExecutionStatus
 SUCCEEDED, ABORTED, CANCELED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED

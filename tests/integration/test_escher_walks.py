@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motion_manager.behaviors import Behavior
 from tests.conftest import RunningInstance, wait_until
 from tests.integration.test_motion_manager import STANDING, MotionSystem
-from valor_common.messages import (
+from valor.common.messages import (
     Footstep,
     FootstepPlanReply,
     FootstepPlanRequest,
@@ -17,7 +16,8 @@ from valor_common.messages import (
     StepStatus,
     VelocityCommand,
 )
-from valor_common.topics import FOOTSTEP_PLAN, GROUND_TRUTH, STEP_STATUS, VELOCITY
+from valor.common.topics import FOOTSTEP_PLAN, GROUND_TRUTH, STEP_STATUS, VELOCITY
+from valor.motion_manager.behaviors import Behavior
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STEP_LENGTH = 0.2  # [m]

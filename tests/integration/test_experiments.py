@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.system import System, leftovers, shared_memory
-from valorctl.verbs.experiments import INSTANCE
+from valor.valorctl.verbs.experiments import INSTANCE
 
 
 @pytest.fixture

@@ -29,8 +29,8 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutio
 import bifrost
 from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.system import in_executor
-from valor_common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
-from valor_common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
+from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
+from valor.common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 
 S = FootstepExecutionStatus
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"

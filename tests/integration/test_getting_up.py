@@ -10,10 +10,10 @@ import pytest
 
 from tests.conftest import RunningInstance
 from tests.unit.motion_states import motion_state
-from valor_common.errors import ValorError
-from valor_common.messages import REQUESTED_BY, BehaviorReply, BehaviorRequest, MotionState
-from valor_common.topics import BEHAVIOR, MOTION_STATE
-from valorctl.getting_up import GETTING_UP, get_up
+from valor.common.errors import ValorError
+from valor.common.messages import REQUESTED_BY, BehaviorReply, BehaviorRequest, MotionState
+from valor.common.topics import BEHAVIOR, MOTION_STATE
+from valor.valorctl.getting_up import GETTING_UP, get_up
 
 Said = tuple[str, str]  # behavior, reason
 POSES = ["getting up, 2 of 3: kneel", "getting up, 3 of 3: straighten"]

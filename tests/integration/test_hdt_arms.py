@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 import bifrost
-from comms_manager.hardware.device import Device, DeviceContext, Fault, JointCommands, JointMeasurement
-from comms_manager.hardware.hdt import Hdt
-from comms_manager.hardware.rejoin import SPEED
-from comms_manager.hardware.series_elastic import SeriesElastic
 from tests.conftest import ROBOTS, RunningInstance, wait_until
-from valor_common.instance import Instance, Settings
-from valor_common.messages import FaultReply, FaultRequest, HdtCommand, HdtState, JointMode
-from valor_common.robot import FloatVector, RobotDescription
-from valor_common.topics import FAULT
+from valor.common.instance import Instance, Settings
+from valor.common.messages import FaultReply, FaultRequest, HdtCommand, HdtState, JointMode
+from valor.common.robot import FloatVector, RobotDescription
+from valor.common.topics import FAULT
+from valor.comms_manager.hardware.device import Device, DeviceContext, Fault, JointCommands, JointMeasurement
+from valor.comms_manager.hardware.hdt import Hdt
+from valor.comms_manager.hardware.rejoin import SPEED
+from valor.comms_manager.hardware.series_elastic import SeriesElastic
 
 PATIENCE = 60.0  # [s]
 JUMP = 0.08  # more between two states than the joint's speed explains [rad]; noise and play are less

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motion_manager.behaviors import Behavior
 from tests.conftest import ROBOTS, RunningInstance, wait_until
-from valor_common.messages import (
+from valor.common.messages import (
     BehaviorReply,
     BehaviorRequest,
     Footstep,
@@ -29,8 +28,8 @@ from valor_common.messages import (
     Rejection,
     Statistics,
 )
-from valor_common.robot import RobotDescription
-from valor_common.topics import (
+from valor.common.robot import RobotDescription
+from valor.common.topics import (
     BEHAVIOR,
     FOOTSTEP_PLAN,
     GROUND_TRUTH,
@@ -42,6 +41,7 @@ from valor_common.topics import (
     REJECTION,
     STATISTICS,
 )
+from valor.motion_manager.behaviors import Behavior
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = ROBOT.tables.groups["right_arm"]

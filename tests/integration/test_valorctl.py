@@ -23,12 +23,12 @@ import bifrost
 from tests.bifrost.network import mechanism, ports
 from tests.conftest import REPOSITORY, ROBOTS, wait_until
 from tests.unit.test_ros_domain import homes_that_begin_alike
-from valor_common.instance import Instance
-from valor_common.messages import MotionState
-from valor_common.topics import MOTION_STATE
-from valorctl.profile import Profile
-from valorctl.ros_domain import is_reserved
-from valorctl.status import look
+from valor.common.instance import Instance
+from valor.common.messages import MotionState
+from valor.common.topics import MOTION_STATE
+from valor.valorctl.profile import Profile
+from valor.valorctl.ros_domain import is_reserved
+from valor.valorctl.status import look
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
 TIMEOUT = 120.0  # of one call [s]

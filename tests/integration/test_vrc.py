@@ -16,7 +16,7 @@ import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go, pass_robot_time, stamp
 from tests.system import RosClient
-from valor_common.messages import (
+from valor.common.messages import (
     ControlModeReport,
     JointSetpoints,
     MotionState,
@@ -24,9 +24,10 @@ from valor_common.messages import (
     Rejection,
     Statistics,
 )
-from valor_common.robot import RobotDescription
-from valor_common.service import EXIT_CONFIGURATION
-from valor_common.topics import (
+from valor.common.processes import BY_NAME
+from valor.common.robot import RobotDescription
+from valor.common.service import EXIT_CONFIGURATION
+from valor.common.topics import (
     CONTROL_MODE,
     JOINT_SETPOINTS,
     MOTION_STATE,
@@ -562,7 +563,7 @@ def test_a_dead_comms_manager_is_named_and_its_return_is_followed(
 def test_wrong_parameters_end_it_with_one_line(
     system: RunningInstance, arguments: list[str], words: tuple[str]
 ) -> None:
-    command = [sys.executable, "-m", VRC, "--ros-args", *arguments]
+    command = [sys.executable, "-m", BY_NAME[VRC].module, "--ros-args", *arguments]
     environment = system.environment | {"ROS_DOMAIN_ID": "166"}
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert result.returncode == EXIT_CONFIGURATION, result.stderr

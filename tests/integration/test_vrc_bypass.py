@@ -13,9 +13,9 @@ import bifrost
 from tests.conftest import ROBOTS, wait_until
 from tests.integration.vrc_system import PATIENCE, Standing, Topic, go
 from tests.system import RosClient
-from valor_common.messages import HandGoalStatus, MotionState, Motor, Rejection
-from valor_common.robot import RobotDescription
-from valor_common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
+from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection
+from valor.common.robot import RobotDescription
+from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
 
 SYSTEM = Standing("bypass", 167)
 ROBOT = RobotDescription.load(ROBOTS / "escher")

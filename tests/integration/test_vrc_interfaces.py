@@ -14,7 +14,7 @@ from tests.conftest import wait_until
 from tests.integration.documented_interfaces import PLACEHOLDERS, Row, names, rows, tables
 from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go, stamp
 from tests.system import RosClient
-from valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.control_modes import ControlModeTable
 
 SYSTEM = Standing("interfaces", 168, ("footstep_converter",))
 OF_ROS = ("/rosout", "/parameter_events")

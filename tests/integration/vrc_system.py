@@ -13,8 +13,8 @@ from typing import Any
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.system import RosClient
-from valor_common.instance import Instance, Settings
-from valor_common.messages import ModeStatus
+from valor.common.instance import Instance, Settings
+from valor.common.messages import ModeStatus
 
 VRC = "valor_ros_controller"
 PATIENCE = 60.0  # [s]

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from comms_manager.hardware import kinds as drivers
-from comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault
-from device_emulators import kinds as emulators
-from device_emulators.emulator import EmulatedFault, Emulator
-from device_emulators.robot import SimulatedRobot
 from tests.conftest import wait_until
-from valor_common.instance import Instance, Settings
-from valor_common.robot import RobotDescription
+from valor.common.instance import Instance, Settings
+from valor.common.robot import RobotDescription
+from valor.comms_manager.hardware import kinds as drivers
+from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault
+from valor.device_emulators import kinds as emulators
+from valor.device_emulators.emulator import EmulatedFault, Emulator
+from valor.device_emulators.robot import SimulatedRobot
 
 UNSOUND = (EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE)
 """Faults in which nothing of a unit may be believed."""

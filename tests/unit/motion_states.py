@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from bifrost import Uint8Array
-from valor_common.messages import MotionState
+from valor.common.messages import MotionState
 
 _EMPTY = {str: "", int: 0, float: 0.0, Uint8Array: np.zeros(2, np.uint8)}
 _TYPES = get_type_hints(MotionState)  # without what codecs add to them when they are made

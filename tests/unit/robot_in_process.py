@@ -7,13 +7,13 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from motion_manager.behaviors import Behavior
-from motion_manager.manager import MotionManager
-from valor_common.messages import BehaviorRequest
-from valor_common.model import controller_model
-from valor_common.robot import FloatVector, RobotDescription
-from valor_simulation.plant import Plant
-from valor_simulation.sensors import Sensors
+from valor.common.messages import BehaviorRequest
+from valor.common.model import controller_model
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.manager import MotionManager
+from valor.simulation.plant import Plant
+from valor.simulation.sensors import Sensors
 
 LYING = 3.0  # after a fall [s]
 STANDING = 2.0  # in Stand, at the end [s]

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import analysis_bag
-from valor_analysis import pictures, plots
-from valor_analysis.bag import Bag
-from valor_analysis.errors import BagError
-from valor_analysis.recording import Recording, nearest
-from valor_common.messages import JointSetpoints, MotionState, Motor, Proprioceptor
-from valor_common.robot import RobotDescription
-from valor_common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.analysis import pictures, plots
+from valor.analysis.bag import Bag
+from valor.analysis.errors import BagError
+from valor.analysis.recording import Recording, nearest
+from valor.common.messages import JointSetpoints, MotionState, Motor, Proprioceptor
+from valor.common.robot import RobotDescription
+from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 

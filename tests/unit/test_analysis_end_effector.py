@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tests import analysis_bag
-from valor_analysis.bag import Array, Bag
-from valor_analysis.end_effector import Hand, HandTrack, PoseError, Poses
-from valor_analysis.errors import BagError
-from valor_analysis.recording import Recording
-from valor_analysis.timeline import Motion, Timeline
-from valor_common.model import full_model
-from valor_common.robot import RobotDescription
+from valor.analysis.bag import Array, Bag
+from valor.analysis.end_effector import Hand, HandTrack, PoseError, Poses
+from valor.analysis.errors import BagError
+from valor.analysis.recording import Recording
+from valor.analysis.timeline import Motion, Timeline
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 ARM = ROBOT.tables.groups["right_arm"]

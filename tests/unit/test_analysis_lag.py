@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valor_analysis.bag import Array
-from valor_analysis.errors import DissimilarSignalsError, SignalError
-from valor_analysis.lag import lag, lags
-from valor_analysis.signals import Signal, common_rate
+from valor.analysis.bag import Array
+from valor.analysis.errors import DissimilarSignalsError, SignalError
+from valor.analysis.lag import lag, lags
+from valor.analysis.signals import Signal, common_rate
 
 
 def motion(t: Array) -> Array:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests import pathway_bag as known
-from valor_analysis import pathway_plots
-from valor_analysis.bag import Bag
-from valor_analysis.pathways import Latencies
-from valor_common.robot import RobotDescription
+from valor.analysis import pathway_plots
+from valor.analysis.bag import Bag
+from valor.analysis.pathways import Latencies
+from valor.common.robot import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from tests import analysis_bag
-from valor_analysis import pictures, plots
-from valor_analysis.bag import Bag
-from valor_analysis.errors import BagError
-from valor_common.robot import RobotDescription
+from valor.analysis import pictures, plots
+from valor.analysis.bag import Bag
+from valor.analysis.errors import BagError
+from valor.common.robot import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 
@@ -69,8 +69,8 @@ def test_without_manipulation_there_is_no_before_and_after(tmp_path: Path, monke
 def test_without_opengl_the_error_says_what_to_install(bag: Bag, tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path\n"
-        "from valor_analysis import pictures; from valor_analysis.errors import RenderingError\n"
-        "from valor_common.robot import RobotDescription\n"
+        "from valor.analysis import pictures; from valor.analysis.errors import RenderingError\n"
+        "from valor.common.robot import RobotDescription\n"
         "robot = RobotDescription.load(Path(sys.argv[2]))\n"
         "try: pictures.render_before_after(Path(sys.argv[1]), robot, Path(sys.argv[3]))\n"
         "except RenderingError as error: print(error)\n"

@@ -17,16 +17,16 @@ import psutil
 import pytest
 
 from tests import analysis_bag
-from valor_analysis import chapters, report_html, report_markdown, report_pdf
-from valor_analysis.bag import Bag
-from valor_analysis.errors import BagError, ResultError, SignalError
-from valor_analysis.joint_signals import JointSignals, draw, neck
-from valor_analysis.process_statistics import Sampler, Usage, plot, write_csv
-from valor_analysis.recording import Recording
-from valor_analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
-from valor_analysis.style import figure, save
-from valor_analysis.timeline import Motion, Timeline
-from valor_common.robot import RobotDescription
+from valor.analysis import chapters, report_html, report_markdown, report_pdf
+from valor.analysis.bag import Bag
+from valor.analysis.errors import BagError, ResultError, SignalError
+from valor.analysis.joint_signals import JointSignals, draw, neck
+from valor.analysis.process_statistics import Sampler, Usage, plot, write_csv
+from valor.analysis.recording import Recording
+from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
+from valor.analysis.style import figure, save
+from valor.analysis.timeline import Motion, Timeline
+from valor.common.robot import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 

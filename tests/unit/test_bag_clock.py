@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from bag_recorder import clock
-from bag_recorder.clock import WallClock, measure_offset
+from valor.bag_recorder import clock
+from valor.bag_recorder.clock import WallClock, measure_offset
 
 
 def test_the_offset_is_what_lies_between_the_clocks() -> None:

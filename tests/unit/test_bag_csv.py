@@ -17,15 +17,15 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import bifrost
-from bag_recorder.bag import Bag, RecordedTopic
-from bag_recorder.definitions import definition
-from bag_recorder.twin import TwinEncoder, twin_type
-from valor_analysis.csv_export import export
-from valor_analysis.errors import BagError
-from valor_analysis.stored import StoredBag
-from valor_common.messages import Motor
-from valor_common.robot import RobotDescription
-from valorctl.__main__ import main
+from valor.analysis.csv_export import export
+from valor.analysis.errors import BagError
+from valor.analysis.stored import StoredBag
+from valor.bag_recorder.bag import Bag, RecordedTopic
+from valor.bag_recorder.definitions import definition
+from valor.bag_recorder.twin import TwinEncoder, twin_type
+from valor.common.messages import Motor
+from valor.common.robot import RobotDescription
+from valor.valorctl.__main__ import main
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 COUNT = 400  # messages a topic

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bag_recorder.definitions import definition
+from valor.bag_recorder.definitions import definition
 
 
 @pytest.mark.parametrize(

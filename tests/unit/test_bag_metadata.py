@@ -9,10 +9,10 @@ import yaml
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
-from bag_recorder.bag import Bag, RecordedTopic
-from valor_common import rosbag2_metadata
-from valor_common.errors import ValorError
-from valorctl.bag_summary import summarize
+from valor.bag_recorder.bag import Bag, RecordedTopic
+from valor.common import rosbag2_metadata
+from valor.common.errors import ValorError
+from valor.valorctl.bag_summary import summarize
 
 QOS = yaml.safe_dump([
     {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "transient_local",

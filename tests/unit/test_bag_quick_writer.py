@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from bag_recorder.quick_writer import QuickWriter
+from valor.bag_recorder.quick_writer import QuickWriter
 
 U32, U64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
 MESSAGES = st.lists(st.tuples(st.integers(1, 3), U64, st.binary(max_size=300), U64, U32), max_size=60)

@@ -14,10 +14,10 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 
-from bag_recorder.bag import Bag, RecordedTopic
-from bag_recorder.definitions import definition
-from valor_common.bag_index import BagError
-from valor_common.bag_recovery import recover
+from valor.bag_recorder.bag import Bag, RecordedTopic
+from valor.bag_recorder.definitions import definition
+from valor.common.bag_index import BagError
+from valor.common.bag_recovery import recover
 
 TOPICS = [
     RecordedTopic(f"/{name}", f"std_msgs/msg/{name}", definition(f"std_msgs/msg/{name}"))

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bag_recorder.tally import Count, Tally, table
-from valor_common.errors import ConfigurationError
-from valor_common.instance import Recording
-from valor_common.selection import EVERYTHING, Selection
-from valorctl.recording_options import recording
+from valor.bag_recorder.tally import Count, Tally, table
+from valor.common.errors import ConfigurationError
+from valor.common.instance import Recording
+from valor.common.selection import EVERYTHING, Selection
+from valor.valorctl.recording_options import recording
 
 
 def test_patterns_choose_topics() -> None:

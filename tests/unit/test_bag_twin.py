@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bag_recorder.definitions import UnknownTypeError, definition
-from bag_recorder.twin import TwinEncoder, twin_type
 from bifrost import Float64Array, Message, Received, Uint8Array
-from valor_common.messages import Footstep, FootstepPlanRequest, Motor
-from valor_common.topics import TOPICS
+from valor.bag_recorder.definitions import UnknownTypeError, definition
+from valor.bag_recorder.twin import TwinEncoder, twin_type
+from valor.common.messages import Footstep, FootstepPlanRequest, Motor
+from valor.common.topics import TOPICS
 
 MESSAGES = sorted({topic.type for topic in TOPICS}, key=lambda message: message.__name__)
 ENCODERS = {message: TwinEncoder(message) for message in MESSAGES}

@@ -10,8 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from motion_manager.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
-from motion_manager.behaviors import (
+from valor.motion_manager.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
+from valor.motion_manager.behaviors import (
     BEHAVIOR_TRANSITIONS,
     INTERNAL_STATES,
     OPERATIONAL,

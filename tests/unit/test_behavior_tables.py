@@ -8,7 +8,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from motion_manager.behaviors import (
+from valor.common.errors import ConfigurationError
+from valor.common.robot import RobotDescription
+from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     INTERNAL_STATES,
@@ -23,8 +25,6 @@ from motion_manager.behaviors import (
     Manipulation,
     joint_owners,
 )
-from valor_common.errors import ConfigurationError
-from valor_common.robot import RobotDescription
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from comms_manager.hardware.can_device import CanDevice
-from comms_manager.hardware.device import DeviceError, Fault, JointCommands, JointMeasurement, WrenchMeasurement
-from comms_manager.hardware.faults import DeviceWatch
-from device_emulators.emulator import EmulatedFault, NoSuchFaultError
 from tests.conftest import ROBOTS
 from tests.unit.bench import UNSOUND, Bench
-from valor_common.messages import JointMode
-from valor_common.robot import RobotDescription
+from valor.common.messages import JointMode
+from valor.common.robot import RobotDescription
+from valor.comms_manager.hardware.can_device import CanDevice
+from valor.comms_manager.hardware.device import DeviceError, Fault, JointCommands, JointMeasurement, WrenchMeasurement
+from valor.comms_manager.hardware.faults import DeviceWatch
+from valor.device_emulators.emulator import EmulatedFault, NoSuchFaultError
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 ROBOT = RobotDescription(ESCHER.folder, replace(ESCHER.tables, control_rate=250.0))

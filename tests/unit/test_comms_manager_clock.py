@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor_common.pacing import LATE, Pacer, Wall
+from valor.common.pacing import LATE, Pacer, Wall
 
 PERIOD = 0.002
 

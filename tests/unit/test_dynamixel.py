@@ -14,12 +14,12 @@ from dynamixel_sdk import Protocol2PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, number_of
-from device_emulators.dynamixel_bus import DynamixelBus, Servo, crc16, encode, stuffed, unstuffed
-from device_emulators.emulator import EmulatedFault, FaultSwitches
-from device_emulators.serial_port import FaultyLine, SerialPort
 from tests.conftest import wait_until
-from valor_common.devices.dynamixel import MODELS, P_SERIES, X_SERIES, ControlTable, HardwareError, Item, OperatingMode
+from valor.common.devices.dynamixel import MODELS, P_SERIES, X_SERIES, ControlTable, HardwareError, Item, OperatingMode
+from valor.comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, number_of
+from valor.device_emulators.dynamixel_bus import DynamixelBus, Servo, crc16, encode, stuffed, unstuffed
+from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.serial_port import FaultyLine, SerialPort
 
 TABLES = (X_SERIES, P_SERIES)
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from comms_manager.hardware.device import Device, DeviceError, Fault, JointCommands, JointMeasurement
-from device_emulators.emulator import EmulatedFault
 from tests.conftest import ROBOTS, wait_until
 from tests.unit.bench import UNSOUND, Bench, ailing, sound
-from valor_common.errors import ConfigurationError
-from valor_common.messages import JointMode
-from valor_common.robot import RobotDescription
-from valor_common.table import checked, plain
+from valor.common.errors import ConfigurationError
+from valor.common.messages import JointMode
+from valor.common.robot import RobotDescription
+from valor.common.table import checked, plain
+from valor.comms_manager.hardware.device import Device, DeviceError, Fault, JointCommands, JointMeasurement
+from valor.device_emulators.emulator import EmulatedFault
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 YAW, PITCH, LIDAR = range(3)

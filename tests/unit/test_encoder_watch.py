@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, EncoderWatch
+from valor.comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, EncoderWatch
 
 LIMIT = 6.0  # [rad/s]
 CYCLE = 0.02  # [s]

@@ -18,13 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Foot, FootstepExecutionStatus, Step, StepPlan
 
-from footstep_converter.plan import PlanError, PlannedStep, RunningPlan, convert, frame
-from motion_manager.whole_body.walking import footsteps
-from motion_manager.whole_body.walking.swing import SolePose
 from tests.unit.test_footstep_plan import LIMITS, MOVE, REACH, ROBOT, make_plan, plans
 from tests.unit.test_motion_manager_footsteps import Bench
-from valor_common.messages import Footstep
-from valor_common.soles import outline, overlap
+from valor.common.messages import Footstep
+from valor.common.soles import outline, overlap
+from valor.footstep_converter.plan import PlanError, PlannedStep, RunningPlan, convert, frame
+from valor.motion_manager.whole_body.walking import footsteps
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 S = FootstepExecutionStatus
 INDICES, INVALID, INCONSISTENT = S.ERR_INVALID_INCONSISTENT_INDICES, S.ERR_INVALID_PLAN, S.ERR_INCONSISTENT_STEP_PLAN

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 
-from footstep_converter.execution import SETTLE, SILENCE, START, STOP, End, Execution, refusal
-from footstep_converter.plan import PlannedStep
-from valor_common.messages import StepStatus
-from valor_common.poses import Pose
+from valor.common.messages import StepStatus
+from valor.common.poses import Pose
+from valor.footstep_converter.execution import SETTLE, SILENCE, START, STOP, End, Execution, refusal
+from valor.footstep_converter.plan import PlannedStep
 
 S = FootstepExecutionStatus
 

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
-from footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
-from valor_common.poses import Pose, level
-from valor_common.robot import Footsteps, RobotDescription
-from valor_common.soles import outline, overlap
+from valor.common.poses import Pose, level
+from valor.common.robot import Footsteps, RobotDescription
+from valor.common.soles import outline, overlap
+from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 assert ROBOT.tables.footsteps is not None

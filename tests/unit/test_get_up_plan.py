@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from motion_manager.get_up import FILE, GetUp
 from tests.conftest import ROBOTS
-from valor_common.model import full_model
-from valor_common.robot import RobotDescription
-from valor_common.table import read
-from valor_planning import plan_table
-from valor_planning.__main__ import main, plan
-from valor_planning.check import check
-from valor_planning.key_poses import NoSolutionFound, find, posture_of
-from valor_planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
-from valor_planning.posture import BASE, SagittalPosture
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
+from valor.common.table import read
+from valor.motion_manager.get_up import FILE, GetUp
+from valor.planning import plan_table
+from valor.planning.__main__ import main, plan
+from valor.planning.check import check
+from valor.planning.key_poses import NoSolutionFound, find, posture_of
+from valor.planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
+from valor.planning.posture import BASE, SagittalPosture
 
 ESCHER, THOR = (RobotDescription.load(ROBOTS / name) for name in ("escher", "thor"))
 PLAN = read(GetUpPlan, ROBOTS / "escher" / plan_table.FILE)
@@ -110,7 +110,7 @@ def test_a_wrong_plan_is_refused_by_name_and_nothing_is_written(
     file = folder / plan_table.FILE
     file.write_text(file.read_text().replace(old, new, 1))
     before = (folder / FILE).read_bytes()
-    monkeypatch.setattr("sys.argv", ["valor_planning", str(folder)])
+    monkeypatch.setattr("sys.argv", ["valor.planning", str(folder)])
     assert main() == 1
     assert words in capsys.readouterr().err
     assert (folder / FILE).read_bytes() == before
@@ -131,6 +131,6 @@ def test_eschers_table_is_what_its_plan_gives(tmp_path: Path) -> None:
 
 
 def test_a_robot_without_a_plan_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.argv", ["valor_planning", str(ROBOTS / "thor")])
+    monkeypatch.setattr("sys.argv", ["valor.planning", str(ROBOTS / "thor")])
     assert main() == 1
     assert plan_table.FILE in capsys.readouterr().err

@@ -12,9 +12,9 @@ from valor_msgs.msg import HdtCommand as RosCommand
 from valor_msgs.msg import HdtState as RosState
 
 from bifrost import Message, Received
-from hdt_bridge.driver_report import statistics
-from hdt_bridge.twin import Twin
-from valor_common.messages import HdtCommand, HdtState
+from valor.common.messages import HdtCommand, HdtState
+from valor.hdt_bridge.driver_report import statistics
+from valor.hdt_bridge.twin import Twin
 
 numbers = st.lists(st.floats(allow_nan=False), max_size=8).map(np.array)
 flags = st.lists(st.integers(0, 255), max_size=8).map(lambda each: np.array(each, dtype=np.uint8))

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdt_driver.limb import ENGAGE, JUMP, SILENCE, Command, Limb
 from tests.conftest import ROBOTS
-from valor_common.devices.hdt_bus import Fault, SegmentState, Setpoints
-from valor_common.robot import RobotDescription
+from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints
+from valor.common.robot import RobotDescription
+from valor.hdt_driver.limb import ENGAGE, JUMP, SILENCE, Command, Limb
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = "right_arm"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comms_manager.hardware.rejoin import SPEED, Rejoining
+from valor.comms_manager.hardware.rejoin import SPEED, Rejoining
 
 PERIOD = 0.01
 ALL, NONE = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)

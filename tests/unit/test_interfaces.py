@@ -11,8 +11,8 @@ from typing import get_type_hints
 import pytest
 
 from bifrost import Float64Array, Message, Uint8Array
-from valor_common.messages import JointMode
-from valor_common.topics import TOPICS
+from valor.common.messages import JointMode
+from valor.common.topics import TOPICS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 INTERFACES = REPOSITORY / "interfaces"

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
-from comms_manager.hardware.microstrain import MicroStrain
-from device_emulators.emulator import EmulatedFault
 from tests.conftest import ROBOTS, wait_until
 from tests.unit.bench import UNSOUND, Bench, ailing, sound
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
+from valor.comms_manager.hardware.microstrain import MicroStrain
+from valor.device_emulators.emulator import EmulatedFault
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

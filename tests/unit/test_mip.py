@@ -10,10 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comms_manager.hardware.mip import Packet, PacketStream, checksum, encode
-from device_emulators import mip_sensor
-from device_emulators.mip_sensor import Attitude, MipSensor
-from valor_common.devices.mip import (
+from valor.common.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
     FORMAT_ENTRY,
@@ -29,6 +26,9 @@ from valor_common.devices.mip import (
     Stream,
     ThreeDm,
 )
+from valor.comms_manager.hardware.mip import Packet, PacketStream, checksum, encode
+from valor.device_emulators import mip_sensor
+from valor.device_emulators.mip_sensor import Attitude, MipSensor
 
 FIELDS = st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), min_size=1, max_size=6)
 PACKETS = st.builds(lambda s, fields: Packet(s, tuple(fields)), st.integers(0, 255), FIELDS)

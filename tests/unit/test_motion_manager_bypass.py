@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bifrost import Received
-from motion_manager.behaviors import Behavior
-from motion_manager.hand_goals import GRACE
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
-from valor_common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
+from valor.common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.hand_goals import GRACE
 
 RIGHT = ROBOT.group_indices("right_arm")
 LEFT = ROBOT.group_indices("left_arm")

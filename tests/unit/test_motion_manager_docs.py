@@ -7,7 +7,8 @@ from enum import StrEnum
 
 import pytest
 
-from motion_manager.behaviors import (
+from tests.conftest import REPOSITORY
+from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     INTERNAL_STATES,
@@ -16,7 +17,6 @@ from motion_manager.behaviors import (
     MANIPULATION_TRANSITIONS,
     Behavior,
 )
-from tests.conftest import REPOSITORY
 
 
 def rows(*cells: tuple[str, ...]) -> str:

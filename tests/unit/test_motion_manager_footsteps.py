@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Behavior
-from motion_manager.handlers.footstep_plan import FootstepPlanHandler
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body.walking.footsteps import Step, level_pose
-from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.swing import SolePose
 from tests.conftest import ROBOTS
-from valor_common.messages import Footstep, FootstepPlanRequest, StepStatus
-from valor_common.robot import RobotDescription
+from valor.common.messages import Footstep, FootstepPlanRequest, StepStatus
+from valor.common.robot import RobotDescription
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
+from valor.motion_manager.whole_body.walking.step_queue import StepQueue
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motion_manager.behaviors import Behavior
-from motion_manager.manager import MotionManager
 from tests.unit.whole_body.closed_loop import load_robot
-from valor_common.messages import BehaviorRequest
-from valor_common.model import controller_model
-from valor_simulation.plant import Plant
-from valor_simulation.sensors import Sensors
+from valor.common.messages import BehaviorRequest
+from valor.common.model import controller_model
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.manager import MotionManager
+from valor.simulation.plant import Plant
+from valor.simulation.sensors import Sensors
 
 WATCHDOG = 0.1  # of the motor controllers, after which they hold their joints [s]
 STANDING = 0.7  # of the pelvis, at least [m]

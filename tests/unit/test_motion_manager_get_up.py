@@ -10,12 +10,12 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-from motion_manager.behaviors import Behavior
-from motion_manager.get_up import FILE, Balance, GetUp, SoleBalance
 from tests.conftest import ROBOTS
 from tests.unit.robot_in_process import RobotInProcess
-from valor_common.errors import ConfigurationError
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.errors import ConfigurationError
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.get_up import FILE, Balance, GetUp, SoleBalance
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motion_manager.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
-from motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
-from motion_manager.posture_move import PostureMove
 from tests.conftest import ROBOTS
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
+from valor.motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
+from valor.motion_manager.posture_move import PostureMove
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)

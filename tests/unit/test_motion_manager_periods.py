@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bifrost import Message, Received
-from motion_manager.behaviors import Behavior
-from motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
-from motion_manager.whole_body import QpStatus, WholeBodyCommand
 from tests.conftest import ROBOTS
-from valor_common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
-from valor_common.model import controller_model
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
+from valor.common.model import controller_model
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
+from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)

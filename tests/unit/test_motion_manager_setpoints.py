@@ -8,19 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bifrost import Received
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Attention, Behavior, Manipulation
-from motion_manager.hand_goals import HandGoals
-from motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSetpointsHandler
-from motion_manager.joint_reference import JointReference
-from motion_manager.rejections import Rejections
-from motion_manager.upper_body import DWELL, SILENCE, UpperBody
 from tests.conftest import ROBOTS
 from tests.unit.test_motion_manager_limiter import Watch
-from valor_common.messages import JointSetpoints
-from valor_common.model import controller_model
-from valor_common.robot import FloatVector, RobotDescription
-from valor_common.topics import JOINT_SETPOINTS
+from valor.common.messages import JointSetpoints
+from valor.common.model import controller_model
+from valor.common.robot import FloatVector, RobotDescription
+from valor.common.topics import JOINT_SETPOINTS
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Attention, Behavior, Manipulation
+from valor.motion_manager.hand_goals import HandGoals
+from valor.motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSetpointsHandler
+from valor.motion_manager.joint_reference import JointReference
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.upper_body import DWELL, SILENCE, UpperBody
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)

@@ -11,7 +11,7 @@ import pytest
 # In a process of its own: nobody wants the test runner in real time.
 _LOOP = """
 import os, sys, threading
-from valor_common.priority import take_real_time
+from valor.common.priority import take_real_time
 
 ended, ready = threading.Event(), threading.Event()
 thread = threading.Thread(target=lambda: (ready.set(), ended.wait()))
@@ -44,7 +44,7 @@ def test_a_loop_goes_first_and_its_other_threads_next_or_all_stay_as_they_are(pr
 
 _CORES = """
 import os, sys, threading
-from valor_common.priority import take_cores
+from valor.common.priority import take_cores
 
 os.sched_setaffinity(0, set(map(int, sys.argv[2].split(","))))
 core = take_cores(sys.argv[1])

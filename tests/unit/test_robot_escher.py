@@ -19,9 +19,9 @@ import yaml
 from tests.conftest import ROBOTS
 from tests.unit.test_robots import ALL, configuration, forward
 from tests.unit.test_robots import FULL as FULL_MODELS
-from valor_common.errors import ConfigurationError
-from valor_common.model import controller_model, full_model
-from valor_common.robot import RobotDescription
+from valor.common.errors import ConfigurationError
+from valor.common.model import controller_model, full_model
+from valor.common.robot import RobotDescription
 
 ESCHER = ROBOTS / "escher"
 ROBOT = ALL["escher"]

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device_emulators.robot import LONGEST, PATIENCE, STALENESS, SimulatedRobot
-from valor_common.devices.table import SeaCanFd
-from valor_common.instance import Settings
-from valor_common.messages import JointMode
-from valor_common.robot import RobotDescription
+from valor.common.devices.table import SeaCanFd
+from valor.common.instance import Settings
+from valor.common.messages import JointMode
+from valor.common.robot import RobotDescription
+from valor.device_emulators.robot import LONGEST, PATIENCE, STALENESS, SimulatedRobot
 
 DESCRIPTION = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher", 250.0)
 STALE = STALENESS * DESCRIPTION.control_period  # [s]

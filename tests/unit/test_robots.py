@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS
-from valor_common.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
-from valor_common.robot import RobotDescription
+from valor.common.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
+from valor.common.robot import RobotDescription
 
 Vector = npt.NDArray[np.float64]
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}

@@ -15,16 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import wait_until
-from valor_common.errors import ValorError
-from valor_common.instance import Instance
-from valorctl import ros_domain
-from valorctl.ros_domain import DOMAINS, choose, discovery_port, is_free, is_reserved
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.valorctl import ros_domain
+from valor.valorctl.ros_domain import DOMAINS, choose, discovery_port, is_free, is_reserved
 
 _CHOOSER = """
 import sys
 from pathlib import Path
-from valor_common.instance import Instance
-from valorctl import ros_domain
+from valor.common.instance import Instance
+from valor.valorctl import ros_domain
 
 print("ready", flush=True)
 sys.stdin.readline()

@@ -9,15 +9,15 @@ import can
 import numpy as np
 import pytest
 
-from comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
-from comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
-from valor_common.devices import can_frames
-from valor_common.devices.can_frames import Status
-from valor_common.devices.end_to_end import protect
-from valor_common.devices.table import SeaCanFd
-from valor_common.instance import Instance, Settings
-from valor_common.messages import JointMode
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.devices import can_frames
+from valor.common.devices.can_frames import Status
+from valor.common.devices.end_to_end import protect
+from valor.common.devices.table import SeaCanFd
+from valor.common.instance import Instance, Settings
+from valor.common.messages import JointMode
+from valor.common.robot import FloatVector, RobotDescription
+from valor.comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
+from valor.comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 TABLE = ROBOT.tables.devices["legs"]

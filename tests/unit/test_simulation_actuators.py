@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from valor_common.messages import JointMode, Motor
-from valor_common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
-from valor_common.table import checked, plain
-from valor_simulation.actuators import Actuators
-from valor_simulation.gears import Gears
+from valor.common.messages import JointMode, Motor
+from valor.common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
+from valor.common.table import checked, plain
+from valor.simulation.actuators import Actuators
+from valor.simulation.gears import Gears
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 N = len(ROBOT.joints)

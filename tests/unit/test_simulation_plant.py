@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from valor_common.errors import ConfigurationError
-from valor_common.messages import JointMode, Motor, Proprioceptor
-from valor_common.model import full_model
-from valor_common.robot import RobotDescription, SensorNoise
-from valor_simulation.gears import Gears
-from valor_simulation.plant import Plant, SimulationDivergedError, scene
-from valor_simulation.sensors import Sensors
+from valor.common.errors import ConfigurationError
+from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription, SensorNoise
+from valor.simulation.gears import Gears
+from valor.simulation.plant import Plant, SimulationDivergedError, scene
+from valor.simulation.sensors import Sensors
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 N = len(ROBOT.joints)

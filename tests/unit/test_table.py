@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import field
 
-from valor_common.errors import ConfigurationError
-from valor_common.table import NonNegative, Positive, Table, TableError, checked, plain, read
+from valor.common.errors import ConfigurationError
+from valor.common.table import NonNegative, Positive, Table, TableError, checked, plain, read
 
 
 class Joint(Table):

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from valor_common.poses import Pose, interpolate, level
-from valor_common.transforms import TooNewError, TransformBuffer, TransformError
+from valor.common.poses import Pose, interpolate, level
+from valor.common.transforms import TooNewError, TransformBuffer, TransformError
 
 SECOND = 10**9
 numbers = st.floats(-3.0, 3.0)

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from valor_common.instance import Instance, Settings
-from valor_common.messages import ModeStatus
-from valorctl.__main__ import main
-from valorctl.app import app, hoist_instance
-from valorctl.control_mode import ModeChange, flag_names
-from valorctl.environment import exports
+from valor.common.instance import Instance, Settings
+from valor.common.messages import ModeStatus
+from valor.valorctl.__main__ import main
+from valor.valorctl.app import app, hoist_instance
+from valor.valorctl.control_mode import ModeChange, flag_names
+from valor.valorctl.environment import exports
 
 COMMAND = typer.main.get_command(app)
 

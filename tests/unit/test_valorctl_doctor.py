@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import bifrost
-from valor_common.instance import Instance
-from valorctl import checks
+from valor.common.instance import Instance
+from valor.valorctl import checks
 
 
 @pytest.mark.parametrize(("name", "mode"), [("client.key", 0o640), ("server.key", 0o604), ("", 0o750)])
@@ -32,8 +32,8 @@ def test_keys_that_others_can_read_are_complained_of(tmp_path: Path, name: str, 
 _WITH_LIMITS = """
 import os, resource, sys
 from pathlib import Path
-from valor_common.instance import Instance
-from valorctl import checks
+from valor.common.instance import Instance
+from valor.valorctl import checks
 
 [check] = [each for each in checks.CHECKS if each.__name__ == "_real_time"]
 for which, limit in zip((resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE), map(int, sys.argv[1:])):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from valorctl.__main__ import main
-from valorctl.experiments.table import EXPERIMENTS
+from valor.valorctl.__main__ import main
+from valor.valorctl.experiments.table import EXPERIMENTS
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from valor_common.errors import ValorError
-from valor_common.resources import robot_folder
-from valor_common.robot import RobotDescription
-from valorctl.arm_motion import SIDES, Limb, preset, trajectory_duration
-from valorctl.health import SILENCE, START_GRACE, Word, judge
-from valorctl.supervision import ProcessInfo, ProcessState, count_restarts
+from valor.common.errors import ValorError
+from valor.common.resources import robot_folder
+from valor.common.robot import RobotDescription
+from valor.valorctl.arm_motion import SIDES, Limb, preset, trajectory_duration
+from valor.valorctl.health import SILENCE, START_GRACE, Word, judge
+from valor.valorctl.supervision import ProcessInfo, ProcessState, count_restarts
 
 NOW = 1000.0
 

@@ -12,16 +12,16 @@ import pytest
 import yaml
 
 from tests.conftest import REPOSITORY
-from valor_common import resources
-from valor_common.errors import ConfigurationError, ValorError
-from valor_common.instance import Instance, Settings
-from valor_common.processes import BY_NAME, PROCESSES, Process
-from valor_common.robot import RobotDescription
-from valor_common.service import EXIT_CONFIGURATION
-from valorctl import instance_setup, supervisor_config
-from valorctl.instance_setup import Request
-from valorctl.profile import Profile
-from valorctl.startup import free
+from valor.common import resources
+from valor.common.errors import ConfigurationError, ValorError
+from valor.common.instance import Instance, Settings
+from valor.common.processes import BY_NAME, PROCESSES, Process
+from valor.common.robot import RobotDescription
+from valor.common.service import EXIT_CONFIGURATION
+from valor.valorctl import instance_setup, supervisor_config
+from valor.valorctl.instance_setup import Request
+from valor.valorctl.profile import Profile
+from valor.valorctl.startup import free
 
 
 def rendered() -> configparser.RawConfigParser:

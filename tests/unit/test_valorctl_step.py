@@ -10,14 +10,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
 
-from footstep_converter.plan import Limits, convert
 from tests.conftest import REPOSITORY, ROBOTS
-from valor_common.errors import ConfigurationError, ValorError
-from valor_common.poses import Pose, level
-from valor_common.robot import RobotDescription
-from valorctl import step_picture
-from valorctl.step_plan import FEET, PlanStep, load
-from valorctl.step_planner import middle, plan_to
+from valor.common.errors import ConfigurationError, ValorError
+from valor.common.poses import Pose, level
+from valor.common.robot import RobotDescription
+from valor.footstep_converter.plan import Limits, convert
+from valor.valorctl import step_picture
+from valor.valorctl.step_plan import FEET, PlanStep, load
+from valor.valorctl.step_planner import middle, plan_to
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 TABLE = ROBOT.tables.footsteps

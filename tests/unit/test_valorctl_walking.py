@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
-from valor_common.errors import ValorError
-from valor_common.robot import RobotDescription
-from valorctl.steering import SIDEWAYS, TURNING, Line
-from valorctl.walking import Order
+from valor.common.errors import ValorError
+from valor.common.robot import RobotDescription
+from valor.valorctl.steering import SIDEWAYS, TURNING, Line
+from valor.valorctl.walking import Order
 
 
 @pytest.mark.parametrize(

@@ -13,20 +13,20 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motion_manager.behaviors import Behavior, Locomotion
 from tests.unit.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
-from valor_common import topics
-from valor_common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
-from valor_ros_controller.controller_switch import Strictness
-from valor_ros_controller.controllers.joint_trajectory_controller import (
+from valor.common import topics
+from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
+from valor.motion_manager.behaviors import Behavior, Locomotion
+from valor.valor_ros_controller.controller_switch import Strictness
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     MOVED,
     JointTrajectoryController,
     Outcome,
     TrajectoryRequest,
 )
-from valor_ros_controller.trajectory.errors import InvalidTrajectoryError
-from valor_ros_controller.trajectory.waypoints import Point, check_waypoints
-from valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, PELVIS_NAMES
+from valor.valor_ros_controller.trajectory.errors import InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, PELVIS_NAMES
 
 ROUNDING = 1e-8  # [rad or m]
 CYCLE = 2 * PERIOD * 1e-9  # [s]

@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motion_manager.behavior_fsm import BehaviorFsm, Conditions, Verdict
-from motion_manager.behaviors import OPERATIONAL, Behavior
 from tests.unit.vrc_in_process import ModeClient
-from valor_common.messages import ModeStatus
-from valor_common.robot import RobotDescription
-from valor_ros_controller.behavior_transition import (
+from valor.common.messages import ModeStatus
+from valor.common.robot import RobotDescription
+from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions, Verdict
+from valor.motion_manager.behaviors import OPERATIONAL, Behavior
+from valor.valor_ros_controller.behavior_transition import (
     REPORT_TIMEOUT,
     BehaviorAnswer,
     BehaviorTransition,
     TransitionState,
 )
-from valor_ros_controller.control_modes import ControlModeTable
-from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 S = ModeStatus
 TABLE = ControlModeTable.load()

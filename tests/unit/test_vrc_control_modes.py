@@ -5,15 +5,15 @@ from pathlib import Path
 import pytest
 import yaml
 
-from motion_manager.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, Behavior
-from valor_common.errors import ConfigurationError
-from valor_common.messages import ModeStatus
-from valor_common.robot import RobotDescription
-from valor_ros_controller.control_modes import FILE, ControlModeTable
-from valor_ros_controller.controllers.configuration import ControllersTable
-from valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP
-from valor_ros_controller.trajectory.errors import ErrorCode
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.common.errors import ConfigurationError
+from valor.common.messages import ModeStatus
+from valor.common.robot import RobotDescription
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, Behavior
+from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
+from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP
+from valor.valor_ros_controller.trajectory.errors import ErrorCode
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 TABLE = ControlModeTable.load()
 CONTROLLERS = ControllersTable.load()

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valor_common.robot import RobotDescription
-from valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, JointClaimError, ValorEscherHWInterface
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, JointClaimError, ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 ARM, NECK = ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")

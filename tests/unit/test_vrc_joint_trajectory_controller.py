@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from tests.unit import motion_states
-from valor_common.messages import MotionState
-from valor_common.robot import RobotDescription
-from valor_ros_controller.controllers.configuration import ControllersTable
-from valor_ros_controller.controllers.joint_trajectory_controller import (
+from valor.common.messages import MotionState
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     JointTrajectoryController,
     Outcome,
     TrajectoryRequest,
 )
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.waypoints import Point, check_waypoints
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 CONFIG = ControllersTable.load().joint_controllers["left_arm_traj_controller"]

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from valor_common.errors import ConfigurationError
-from valor_common.model import full_model
-from valor_common.robot import RobotDescription
-from valor_ros_controller.kinematic_tree import KinematicTree
-from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
-from valor_ros_controller.ros.transforms import LinkTransforms, multiply, rotate
+from valor.common.errors import ConfigurationError
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.valor_ros_controller.ros.transforms import LinkTransforms, multiply, rotate
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 

@@ -9,11 +9,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from motion_manager.behaviors import Behavior
 from tests.unit.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
-from valor_common.messages import BehaviorRequest, ModeStatus
-from valor_ros_controller import behavior_transition
-from valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP, ModeReport
+from valor.common.messages import BehaviorRequest, ModeStatus
+from valor.motion_manager.behaviors import Behavior
+from valor.valor_ros_controller import behavior_transition
+from valor.valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP, ModeReport
 
 S = ModeStatus
 STOPPED = (Behavior.SOFT_STOP, Behavior.FREEZE)

@@ -4,7 +4,7 @@ import itertools
 import sys
 import threading
 
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 
 def test_reads_each_value_once_and_the_newest_only():

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.execution import Trajectory
-from valor_ros_controller.trajectory.limits import JointLimits
-from valor_ros_controller.trajectory.splines import SPEED_MARGIN
-from valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.execution import Trajectory
+from valor.valor_ros_controller.trajectory.limits import JointLimits
+from valor.valor_ros_controller.trajectory.splines import SPEED_MARGIN
+from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 
 NAMES = ("shoulder", "elbow", "wrist")
 LIMITS = JointLimits(

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from valor_common.model import full_model
-from valor_common.robot import RobotDescription
-from valor_ros_controller.kinematic_tree import KinematicTree, read
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.kinematic_tree import KinematicTree, read
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 NAMES = [path.parent.name for path in ROBOTS.glob("*/robot.yaml")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.unit.vrc_in_process import SILENCE, System
-from valor_common import topics
+from valor.common import topics
 
 
 @pytest.fixture

@@ -11,12 +11,12 @@ import pytest
 
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
-from valor_analysis import track_builder
-from valor_analysis.track_builder import TrackBuilder
-from valor_analysis.walk import Figures, Timeliness, Track, knees
-from valor_analysis.walk_report import WalkReport
-from valor_common.messages import ClockStatus, MotionState, Proprioceptor
-from valor_common.robot import RobotDescription
+from valor.analysis import track_builder
+from valor.analysis.track_builder import TrackBuilder
+from valor.analysis.walk import Figures, Timeliness, Track, knees
+from valor.analysis.walk_report import WalkReport
+from valor.common.messages import ClockStatus, MotionState, Proprioceptor
+from valor.common.robot import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 COUNT = 400  # control periods

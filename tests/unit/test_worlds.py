@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROBOTS
-from valor_common import worlds
-from valor_common.errors import ConfigurationError
-from valor_common.robot import RobotDescription
-from valor_common.worlds.dirt import Dirt
-from valor_common.worlds.stairs import Stairs
-from valor_simulation.plant import Plant
+from valor.common import worlds
+from valor.common.errors import ConfigurationError
+from valor.common.robot import RobotDescription
+from valor.common.worlds.dirt import Dirt
+from valor.common.worlds.stairs import Stairs
+from valor.simulation.plant import Plant
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 DIRT = worlds.WORLDS["dirt"]

@@ -14,33 +14,33 @@ from typing import Any
 import numpy as np
 
 from bifrost import Received
-from motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
-from motion_manager.hand_goals import HandGoals
-from motion_manager.handlers.behavior import BehaviorHandler
-from motion_manager.handlers.joint_setpoints import JointSetpointsHandler
-from motion_manager.joint_reference import JointReference
-from motion_manager.limiter import Limiter
-from motion_manager.rejections import Rejections
-from motion_manager.upper_body import UpperBody
-from motion_manager.whole_body.pelvis import pelvis_limits
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
-from valor_common import topics
-from valor_common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
-from valor_common.model import controller_model
-from valor_common.robot import FloatVector, RobotDescription
-from valor_ros_controller.behavior_transition import BehaviorAnswer
-from valor_ros_controller.control_modes import ControlModeTable
-from valor_ros_controller.controllers.configuration import ControllersTable
-from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
-from valor_ros_controller.controllers.footstep_controller import FootstepController
-from valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor_ros_controller.controllers.tracking_controller import TrackingController
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor_ros_controller.valor_escher_controller import ValorEscherController
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+from valor.common import topics
+from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
+from valor.common.model import controller_model
+from valor.common.robot import FloatVector, RobotDescription
+from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from valor.motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
+from valor.motion_manager.hand_goals import HandGoals
+from valor.motion_manager.handlers.behavior import BehaviorHandler
+from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from valor.motion_manager.joint_reference import JointReference
+from valor.motion_manager.limiter import Limiter
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.upper_body import UpperBody
+from valor.motion_manager.whole_body.pelvis import pelvis_limits
+from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
+from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor.valor_ros_controller.controllers.footstep_controller import FootstepController
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.valor_escher_controller import ValorEscherController
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)

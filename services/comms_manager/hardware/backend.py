@@ -18,10 +18,18 @@ from collections import Counter
 
 import numpy as np
 
-from comms_manager.backend import Backend
-from comms_manager.commands import Commands
-from comms_manager.hardware.can_device import GATHERING, CanDevice
-from comms_manager.hardware.device import (
+from valor.common.errors import ConfigurationError
+from valor.common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
+from valor.common.pacing import Pacer, Wall
+from valor.common.priority import take_real_time
+from valor.common.processes import BY_NAME
+from valor.common.robot import FloatVector
+from valor.common.service import Context
+from valor.common.topics import DEVICES
+from valor.comms_manager.backend import Backend
+from valor.comms_manager.commands import Commands
+from valor.comms_manager.hardware.can_device import GATHERING, CanDevice
+from valor.comms_manager.hardware.device import (
     Ailment,
     Device,
     DeviceContext,
@@ -32,19 +40,11 @@ from comms_manager.hardware.device import (
     JointMeasurement,
     WrenchMeasurement,
 )
-from comms_manager.hardware.faults import DeviceWatch
-from comms_manager.hardware.force_torque import ForceTorque
-from comms_manager.hardware.kinds import make
-from comms_manager.hardware.microstrain import MicroStrain
-from comms_manager.hardware.series_elastic import SeriesElastic
-from valor_common.errors import ConfigurationError
-from valor_common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
-from valor_common.pacing import Pacer, Wall
-from valor_common.priority import take_real_time
-from valor_common.processes import BY_NAME
-from valor_common.robot import FloatVector
-from valor_common.service import Context
-from valor_common.topics import DEVICES
+from valor.comms_manager.hardware.faults import DeviceWatch
+from valor.comms_manager.hardware.force_torque import ForceTorque
+from valor.comms_manager.hardware.kinds import make
+from valor.comms_manager.hardware.microstrain import MicroStrain
+from valor.comms_manager.hardware.series_elastic import SeriesElastic
 
 FEET = ("left_foot", "right_foot")  # where the forces must be known
 # So much may lack of a period. Less than half, or whoever is late once samples twice a period for ever; and no whole

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from comms_manager.hardware.device import Ailment, DeviceError, Fault, UnitRecord
+from valor.comms_manager.hardware.device import Ailment, DeviceError, Fault, UnitRecord
 
 
 def require_identity(unit: str, said: Mapping[str, object], expected: Mapping[str, object]) -> None:

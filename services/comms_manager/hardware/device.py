@@ -23,9 +23,9 @@ from threading import Event
 import numpy as np
 import numpy.typing as npt
 
-from valor_common.errors import ValorError
-from valor_common.instance import Instance, Settings
-from valor_common.robot import FloatVector, RobotDescription
+from valor.common.errors import ValorError
+from valor.common.instance import Instance, Settings
+from valor.common.robot import FloatVector, RobotDescription
 
 IntVector = npt.NDArray[np.int64]
 RATE_WINDOW = 1.0  # over which rates and latencies are taken [s]

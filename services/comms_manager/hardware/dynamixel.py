@@ -14,8 +14,12 @@ from threading import Event
 import numpy as np
 import serial
 
-from comms_manager.hardware.condition import require_identity
-from comms_manager.hardware.device import (
+from valor.common.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
+from valor.common.devices.ports import serial_port
+from valor.common.devices.table import Dynamixel
+from valor.common.messages import JointMode
+from valor.comms_manager.hardware.condition import require_identity
+from valor.comms_manager.hardware.device import (
     Ailment,
     Device,
     DeviceContext,
@@ -23,12 +27,8 @@ from comms_manager.hardware.device import (
     Fault,
     JointMeasurement,
 )
-from comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, StatusReader
-from comms_manager.hardware.dynamixel_servo import Servo
-from valor_common.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
-from valor_common.devices.ports import serial_port
-from valor_common.devices.table import Dynamixel
-from valor_common.messages import JointMode
+from valor.comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, StatusReader
+from valor.comms_manager.hardware.dynamixel_servo import Servo
 
 ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
 LONGEST_READ = 0.02  # of all servos, whoever is missing; the time-out is 7 ms for each kind [s]

@@ -10,8 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from comms_manager.hardware.device import RATE_WINDOW, Device, Fault, Part, UnitRates
-from valor_common.messages import DeviceStatus
+from valor.common.messages import DeviceStatus
+from valor.comms_manager.hardware.device import RATE_WINDOW, Device, Fault, Part, UnitRates
 
 STATUS_PERIOD = 1.0  # between reports while nothing changes [s]
 HALF_RATE = 0.5  # of the rate that states should have: less is slow

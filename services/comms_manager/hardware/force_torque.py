@@ -7,11 +7,11 @@ import time
 
 import numpy as np
 
-from comms_manager.hardware.can_device import CanDevice, CanUnit
-from comms_manager.hardware.device import DeviceContext, IntVector, Part, WrenchMeasurement
-from valor_common.devices import can_frames
-from valor_common.devices.can_frames import Identity
-from valor_common.devices.table import FtCan
+from valor.common.devices import can_frames
+from valor.common.devices.can_frames import Identity
+from valor.common.devices.table import FtCan
+from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
+from valor.comms_manager.hardware.device import DeviceContext, IntVector, Part, WrenchMeasurement
 
 MOST = 20_000.0  # force [N] and torque [N·m]: more is nonsense
 

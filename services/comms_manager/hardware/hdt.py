@@ -15,7 +15,10 @@ from threading import Event
 import numpy as np
 
 import bifrost
-from comms_manager.hardware.device import (
+from valor.common.devices.hdt_bus import Fault as ModuleFault
+from valor.common.devices.table import HdtBifrost, HdtLimb
+from valor.common.messages import HdtCommand, HdtState, JointMode
+from valor.comms_manager.hardware.device import (
     Ailment,
     Device,
     DeviceContext,
@@ -25,10 +28,7 @@ from comms_manager.hardware.device import (
     JointMeasurement,
     UnitRecord,
 )
-from comms_manager.hardware.rejoin import Rejoining
-from valor_common.devices.hdt_bus import Fault as ModuleFault
-from valor_common.devices.table import HdtBifrost, HdtLimb
-from valor_common.messages import HdtCommand, HdtState, JointMode
+from valor.comms_manager.hardware.rejoin import Rejoining
 
 FINDING = 30.0  # within which all limbs must have said where they are [s]
 ANSWERING = 5.0  # within which a command must have acted [s]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from comms_manager.hardware.device import Device, DeviceContext
-from comms_manager.hardware.dynamixel import DynamixelServos
-from comms_manager.hardware.force_torque import ForceTorque
-from comms_manager.hardware.hdt import Hdt
-from comms_manager.hardware.microstrain import MicroStrain
-from comms_manager.hardware.series_elastic import SeriesElastic
-from valor_common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError
+from valor.comms_manager.hardware.device import Device, DeviceContext
+from valor.comms_manager.hardware.dynamixel import DynamixelServos
+from valor.comms_manager.hardware.force_torque import ForceTorque
+from valor.comms_manager.hardware.hdt import Hdt
+from valor.comms_manager.hardware.microstrain import MicroStrain
+from valor.comms_manager.hardware.series_elastic import SeriesElastic
 
 KINDS: Mapping[str, Callable[[str, DeviceContext], Device]] = {
     "sea_can_fd": SeriesElastic,

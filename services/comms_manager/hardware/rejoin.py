@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from valor_common.robot import FloatVector
+from valor.common.robot import FloatVector
 
 SPEED = 0.5  # towards the wanted position [rad/s]
 _THERE = 1e-3  # [rad]

@@ -8,8 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from comms_manager.hardware.can_device import CanDevice, CanUnit
-from comms_manager.hardware.device import (
+from valor.common.devices import can_frames
+from valor.common.devices.can_frames import Code, Identity
+from valor.common.devices.table import MotorController, SeaCanFd, SupplyLimits
+from valor.common.messages import JointMode
+from valor.common.robot import FloatVector
+from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
+from valor.comms_manager.hardware.device import (
     Ailment,
     DeviceContext,
     DeviceError,
@@ -18,11 +23,6 @@ from comms_manager.hardware.device import (
     JointCommands,
     JointMeasurement,
 )
-from valor_common.devices import can_frames
-from valor_common.devices.can_frames import Code, Identity
-from valor_common.devices.table import MotorController, SeaCanFd, SupplyLimits
-from valor_common.messages import JointMode
-from valor_common.robot import FloatVector
 
 JUMP_MARGIN = 0.05  # of a joint's position from one state to the next, besides what its velocity limit gives [rad]
 JUMPS_TO_FAULT = 3  # implausible positions in a row, after which it is the encoder

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from comms_manager.backend import Backend
-from comms_manager.commands import Commands
-from comms_manager.simulation.clock import CLOCKS
-from valor_common.errors import ConfigurationError
-from valor_common.messages import GroundTruth, Proprioceptor
-from valor_common.pacing import Pacer, Wall
-from valor_common.service import Context
-from valor_common.topics import GROUND_TRUTH
-from valor_simulation.plant import Plant
-from valor_simulation.push import PushServer
-from valor_simulation.sensors import Sensors
-from valor_simulation.truth import Truth
+from valor.common.errors import ConfigurationError
+from valor.common.messages import GroundTruth, Proprioceptor
+from valor.common.pacing import Pacer, Wall
+from valor.common.service import Context
+from valor.common.topics import GROUND_TRUTH
+from valor.comms_manager.backend import Backend
+from valor.comms_manager.commands import Commands
+from valor.comms_manager.simulation.clock import CLOCKS
+from valor.simulation.plant import Plant
+from valor.simulation.push import PushServer
+from valor.simulation.sensors import Sensors
+from valor.simulation.truth import Truth
 
 
 class Simulation(Backend):

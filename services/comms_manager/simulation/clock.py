@@ -10,9 +10,9 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 
-from comms_manager.commands import Commands
-from valor_common.pacing import Pacer
-from valor_simulation.plant import Plant
+from valor.common.pacing import Pacer
+from valor.comms_manager.commands import Commands
+from valor.simulation.plant import Plant
 
 PATIENCE = 1.0  # of one wait for a Motor [s]
 STALENESS = 5  # realtime: periods that the state answered by the newest Motor may lie back

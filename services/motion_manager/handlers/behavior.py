@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from motion_manager.behaviors import Behavior
-from motion_manager.rejections import Rejections
-from valor_common.messages import BehaviorReply, BehaviorRequest
-from valor_common.topics import BEHAVIOR
+from valor.common.messages import BehaviorReply, BehaviorRequest
+from valor.common.topics import BEHAVIOR
+from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.rejections import Rejections
 
 
 class BehaviorHandler:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Manipulation
-from motion_manager.hand_goals import SIDES, HandGoal, HandGoals
-from motion_manager.handlers.joint_setpoints import STALE
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body import rotation
-from valor_common.messages import HandGoal as HandGoalMessage
-from valor_common.topics import HAND_GOAL
+from valor.common.messages import HandGoal as HandGoalMessage
+from valor.common.topics import HAND_GOAL
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Manipulation
+from valor.motion_manager.hand_goals import SIDES, HandGoal, HandGoals
+from valor.motion_manager.handlers.joint_setpoints import STALE
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body import rotation
 
 FRAMES = ("pelvis", "odom")
 FARTHEST = 10.0  # from a frame's origin that a goal is looked at at all [m]

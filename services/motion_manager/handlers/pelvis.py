@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Locomotion
-from motion_manager.handlers.joint_setpoints import STALE
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body.pelvis import HEIGHT, PelvisReference
-from valor_common.messages import PelvisSetpoint
-from valor_common.topics import PELVIS
+from valor.common.messages import PelvisSetpoint
+from valor.common.topics import PELVIS
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Locomotion
+from valor.motion_manager.handlers.joint_setpoints import STALE
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body.pelvis import HEIGHT, PelvisReference
 
 STEPPING = (Locomotion.STEP, Locomotion.WALK)
 

@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from bifrost import Float64Array, Received
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import BALANCING, Locomotion
-from motion_manager.joint_gains import JointGains
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body.weights import TASKS, TaskWeights
-from valor_common.messages import BalanceWeights as BalanceWeightsMessage
-from valor_common.messages import JointGains as JointGainsMessage
-from valor_common.robot import RobotDescription
-from valor_common.topics import BALANCE_WEIGHTS, JOINT_GAINS
+from valor.common.messages import BalanceWeights as BalanceWeightsMessage
+from valor.common.messages import JointGains as JointGainsMessage
+from valor.common.robot import RobotDescription
+from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import BALANCING, Locomotion
+from valor.motion_manager.joint_gains import JointGains
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body.weights import TASKS, TaskWeights
 
 OPEN = frozenset(BALANCING) - {Locomotion.SOFT_STOP}
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Locomotion
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
-from valor_common.messages import VelocityCommand
-from valor_common.topics import VELOCITY
+from valor.common.messages import VelocityCommand
+from valor.common.topics import VELOCITY
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Locomotion
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 STALE = 0.5  # a velocity for a state older than this is refused [s of robot time]
 

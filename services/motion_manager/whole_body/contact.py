@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from motion_manager.kernel import Expression, Kernel
-from motion_manager.whole_body.state import FloatArray
-from valor_common.robot import Foot, RobotDescription
+from valor.common.robot import Foot, RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.whole_body.state import FloatArray
 
 POINTS = 4
 EDGES = 4

@@ -12,30 +12,30 @@ from math import sqrt
 
 import numpy as np
 
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.contact import FootContacts
-from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.dynamics import SOLES, ModelJoints
-from motion_manager.whole_body.elimination import UnsolvableError
-from motion_manager.whole_body.pelvis import PelvisReference
-from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
-from motion_manager.whole_body.self_collision import SelfCollision
-from motion_manager.whole_body.set_points import SetPoints
-from motion_manager.whole_body.state import (
+from valor.common.model import Model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.contact import FootContacts
+from valor.motion_manager.whole_body.dcm import DcmLaw
+from valor.motion_manager.whole_body.dynamics import SOLES, ModelJoints
+from valor.motion_manager.whole_body.elimination import UnsolvableError
+from valor.motion_manager.whole_body.pelvis import PelvisReference
+from valor.motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
+from valor.motion_manager.whole_body.self_collision import SelfCollision
+from valor.motion_manager.whole_body.set_points import SetPoints
+from valor.motion_manager.whole_body.state import (
     FloatArray,
     QpStatus,
     RobotState,
     UpperBodyReference,
     WholeBodyCommand,
 )
-from motion_manager.whole_body.tasks import Objective
-from motion_manager.whole_body.walking.footsteps import StepSource
-from motion_manager.whole_body.walking.gait import Gait
-from motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
-from motion_manager.whole_body.weights import TaskWeights
-from motion_manager.whole_body.wishes import Wishes
-from valor_common.model import Model
-from valor_common.robot import RobotDescription
+from valor.motion_manager.whole_body.tasks import Objective
+from valor.motion_manager.whole_body.walking.footsteps import StepSource
+from valor.motion_manager.whole_body.walking.gait import Gait
+from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
+from valor.motion_manager.whole_body.weights import TaskWeights
+from valor.motion_manager.whole_body.wishes import Wishes
 
 _log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from math import inf, sqrt
 
 import casadi as ca
 
-from motion_manager.kernel import Expression, clipped
+from valor.motion_manager.kernel import Expression, clipped
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,19 +27,19 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel, parts, pieces
-from motion_manager.whole_body import attitude, foot_contact, rotation
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.attitude import Attitude
-from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
-from motion_manager.whole_body.foot_contact import FootContact, FootSense, Past
-from motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
-from motion_manager.whole_body.pelvis import roll_pitch_yaw
-from motion_manager.whole_body.state import RobotState
-from valor_common.messages import Proprioceptor
-from valor_common.model import Model
-from valor_common.robot import RobotDescription
+from valor.common.messages import Proprioceptor
+from valor.common.model import Model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel, parts, pieces
+from valor.motion_manager.whole_body import attitude, foot_contact, rotation
+from valor.motion_manager.whole_body.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.attitude import Attitude
+from valor.motion_manager.whole_body.dcm import DcmLaw
+from valor.motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
+from valor.motion_manager.whole_body.foot_contact import FootContact, FootSense, Past
+from valor.motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
+from valor.motion_manager.whole_body.pelvis import roll_pitch_yaw
+from valor.motion_manager.whole_body.state import RobotState
 
 LONGEST_GAP = 0.02  # between Proprioceptors that the IMU's rates are believed for [s]
 _CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(

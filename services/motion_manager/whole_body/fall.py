@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from math import acos, degrees
 
-from motion_manager.whole_body.state import FloatArray, RobotState
-from motion_manager.whole_body.support import (
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.state import FloatArray, RobotState
+from valor.motion_manager.whole_body.support import (
     convex_hull,
     corners_on_ground,
     distance_outside,
@@ -20,7 +21,6 @@ from motion_manager.whole_body.support import (
     sole_corners,
     surely_within,
 )
-from valor_common.robot import RobotDescription
 
 
 class FallDetector:

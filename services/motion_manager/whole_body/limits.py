@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 
-from motion_manager.kernel import Expression, clipped
-from valor_common.model import Indices
-from valor_common.robot import RobotDescription, WholeBody
+from valor.common.model import Indices
+from valor.common.robot import RobotDescription, WholeBody
+from valor.motion_manager.kernel import Expression, clipped
 
 
 class JointLimits:

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from motion_manager.kernel import Expression
-from valor_common.robot import Estimator
+from valor.common.robot import Estimator
+from valor.motion_manager.kernel import Expression
 
 POSITION, VELOCITY, BIAS, FEET = 0, 1, 2, 3
 SIZE = 5

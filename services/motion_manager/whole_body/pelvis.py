@@ -15,13 +15,13 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression
-from motion_manager.limiter import Limiter
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.dynamics import ModelJoints
-from motion_manager.whole_body.state import FloatArray, RobotState
-from valor_common.model import Model
-from valor_common.robot import PelvisMotion
+from valor.common.model import Model
+from valor.common.robot import PelvisMotion
+from valor.motion_manager.kernel import Expression
+from valor.motion_manager.limiter import Limiter
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.state import FloatArray, RobotState
 
 Places = npt.NDArray[np.intp]
 

@@ -18,12 +18,12 @@ import daqp
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel
-from motion_manager.whole_body.contact import UNBOUNDED
-from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
-from motion_manager.whole_body.state import FloatArray, QpStatus
-from motion_manager.whole_body.tasks import Objective
+from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.whole_body.contact import UNBOUNDED
+from valor.motion_manager.whole_body.dynamics import Dynamics
+from valor.motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
+from valor.motion_manager.whole_body.state import FloatArray, QpStatus
+from valor.motion_manager.whole_body.tasks import Objective
 
 ROUNDS = 8  # of limits joining the problem
 TOLERANCE = 1e-6  # of a limit [N·m, rad/s²]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from motion_manager.kernel import Expression, Kernel, clipped
-from motion_manager.whole_body.dynamics import ModelJoints
-from motion_manager.whole_body.state import FloatArray
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel, clipped
+from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.state import FloatArray
 
 
 class SetPoints:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from motion_manager.kernel import Expression
-from motion_manager.whole_body.reference import Feet
+from valor.motion_manager.kernel import Expression
+from valor.motion_manager.whole_body.reference import Feet
 
 
 def stance(feet: Feet) -> Expression:

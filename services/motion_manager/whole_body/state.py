@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from motion_manager.whole_body.dynamics import Dynamics
+    from valor.motion_manager.whole_body.dynamics import Dynamics
 
 FloatArray = npt.NDArray[np.float64]
 

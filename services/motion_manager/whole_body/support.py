@@ -7,8 +7,8 @@ from math import hypot
 
 import numpy as np
 
-from motion_manager.whole_body.state import FloatArray
-from valor_common.robot import Feet
+from valor.common.robot import Feet
+from valor.motion_manager.whole_body.state import FloatArray
 
 Point = tuple[float, float]
 

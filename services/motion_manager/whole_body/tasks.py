@@ -15,7 +15,8 @@ from math import nan
 
 import numpy as np
 
-from motion_manager.whole_body.dynamics import (
+from valor.common.robot import WholeBody
+from valor.motion_manager.whole_body.dynamics import (
     CHEST,
     COM,
     MOMENTUM,
@@ -26,9 +27,8 @@ from motion_manager.whole_body.dynamics import (
     ModelJoints,
     sole_rows,
 )
-from motion_manager.whole_body.state import FloatArray
-from motion_manager.whole_body.weights import TASKS
-from valor_common.robot import WholeBody
+from valor.motion_manager.whole_body.state import FloatArray
+from valor.motion_manager.whole_body.weights import TASKS
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks
 

@@ -13,18 +13,18 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.kernel import Expression, Kernel, by_rows, clipped, pieces
-from motion_manager.whole_body import rotation, stance
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
-from motion_manager.whole_body.limits import JointLimits
-from motion_manager.whole_body.pelvis import PelvisReference
-from motion_manager.whole_body.reference import Begun, Feet, Led, StandReference
-from motion_manager.whole_body.set_points import SetPoints
-from motion_manager.whole_body.state import FloatArray, RobotState, UpperBodyReference
-from motion_manager.whole_body.walking.gait import Gait
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel, by_rows, clipped, pieces
+from valor.motion_manager.whole_body import rotation, stance
+from valor.motion_manager.whole_body.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.dcm import DcmLaw
+from valor.motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
+from valor.motion_manager.whole_body.limits import JointLimits
+from valor.motion_manager.whole_body.pelvis import PelvisReference
+from valor.motion_manager.whole_body.reference import Begun, Feet, Led, StandReference
+from valor.motion_manager.whole_body.set_points import SetPoints
+from valor.motion_manager.whole_body.state import FloatArray, RobotState, UpperBodyReference
+from valor.motion_manager.whole_body.walking.gait import Gait
 
 CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up for a distant reference at most
 

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, field
 
-from valor_common.table import NonNegative, Positive, Table, read
-from valor_ros_controller.trajectory.limits import Vector
-from valor_ros_controller.trajectory.tolerances import Tolerances
+from valor.common.table import NonNegative, Positive, Table, read
+from valor.valor_ros_controller.trajectory.limits import Vector
+from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 
 FILE = Path(__file__).parent.parent / "controllers.yaml"
 

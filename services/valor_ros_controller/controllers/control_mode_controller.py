@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from valor_common.messages import REQUESTED_BY, ModeStatus
-from valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
-from valor_ros_controller.control_modes import ControlModeTable
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.common.messages import REQUESTED_BY, ModeStatus
+from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
+from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("control_mode_controller")
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Protocol
 
-from valor_common.messages import StepStatus
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.common.messages import StepStatus
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
 class State(IntEnum):

@@ -17,13 +17,13 @@ from typing import Protocol
 
 import numpy as np
 
-from valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.execution import Trajectory
-from valor_ros_controller.trajectory.limits import Vector
-from valor_ros_controller.trajectory.tolerances import Tolerances
-from valor_ros_controller.trajectory.waypoints import Waypoints
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.execution import Trajectory
+from valor.valor_ros_controller.trajectory.limits import Vector
+from valor.valor_ros_controller.trajectory.tolerances import Tolerances
+from valor.valor_ros_controller.trajectory.waypoints import Waypoints
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("joint_trajectory_controller")
 

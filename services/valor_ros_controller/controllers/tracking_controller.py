@@ -5,8 +5,8 @@ Team ViGIR's tracking controllers did so for the legs while the robot's own cont
 
 from __future__ import annotations
 
-from valor_ros_controller.controllers.configuration import TrackingControllerConfig
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.controllers.configuration import TrackingControllerConfig
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
 class TrackingController:

@@ -13,9 +13,9 @@ from std_msgs.msg import String
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
-from valor_common.messages import ModeStatus
-from valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
-from valor_ros_controller.ros.deferred_action_server import DeferredActionServer
+from valor.common.messages import ModeStatus
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 
 ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
 COMMAND = "/flor/controller/mode_command"

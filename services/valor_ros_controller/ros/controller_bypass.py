@@ -33,7 +33,7 @@ from valor_msgs.msg import JointGains as RosJointGains
 from valor_msgs.msg import Rejection as RosRejection
 
 import bifrost
-from valor_common.messages import (
+from valor.common.messages import (
     BalanceWeights,
     HandGoal,
     HandGoalStatus,
@@ -41,7 +41,7 @@ from valor_common.messages import (
     Rejection,
     VelocityCommand,
 )
-from valor_common.topics import (
+from valor.common.topics import (
     BALANCE_WEIGHTS,
     HAND_GOAL,
     HAND_GOAL_STATUS,
@@ -49,11 +49,11 @@ from valor_common.topics import (
     REJECTION,
     VELOCITY,
 )
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor_ros_controller.ros.transforms import roll_pitch_yaw
-from valor_ros_controller.ros.twin_publisher import TwinPublisher
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.ros.transforms import roll_pitch_yaw
+from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 _log = logging.getLogger("controller_bypass")
 

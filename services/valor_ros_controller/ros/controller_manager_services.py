@@ -35,9 +35,9 @@ from lifecycle_msgs.msg import State
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from valor_ros_controller.controller_switch import SwitchAnswer
-from valor_ros_controller.valor_escher_controller import ValorEscherController
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.controller_switch import SwitchAnswer
+from valor.valor_ros_controller.valor_escher_controller import ValorEscherController
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("controller_manager")
 

@@ -10,9 +10,9 @@ from control_msgs.msg import JointTrajectoryControllerState
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
-from valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
 class Controller(Protocol):

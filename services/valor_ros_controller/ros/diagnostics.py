@@ -15,9 +15,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 import bifrost
-from valor_common.messages import DeviceStatus, Statistics
-from valor_common.topics import DEVICES, STATISTICS
-from valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.common.messages import DeviceStatus, Statistics
+from valor.common.topics import DEVICES, STATISTICS
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 PERIOD = 1.0  # [s]
 _SILENT = 3.0  # a process whose statistics are older than this has stopped [s]

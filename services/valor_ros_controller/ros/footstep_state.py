@@ -14,8 +14,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 
-from valor_common.messages import StepStatus
-from valor_ros_controller.controllers.footstep_controller import FootstepController, State
+from valor.common.messages import StepStatus
+from valor.valor_ros_controller.controllers.footstep_controller import FootstepController, State
 
 TOPIC = "/robot_controllers/footstep_controller/controller_state"
 _STEPPING = {

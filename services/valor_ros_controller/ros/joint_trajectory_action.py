@@ -14,19 +14,19 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from valor_ros_controller.controllers.joint_trajectory_controller import (
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     Goal,
     JointTrajectoryController,
     Outcome,
     QueriedState,
     TrajectoryRequest,
 )
-from valor_ros_controller.ros.deferred_action_server import DeferredActionServer
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.limits import Vector
-from valor_ros_controller.trajectory.waypoints import Point, check_waypoints
-from valor_ros_controller.update_queue import UpdateQueue
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.limits import Vector
+from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.update_queue import UpdateQueue
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
 def _nanoseconds(time: Any) -> int:

@@ -11,9 +11,9 @@ from std_msgs.msg import Bool
 from valor_msgs.msg import MotionState as RosMotionState
 
 from bifrost import Received
-from valor_common.messages import MotionState
-from valor_ros_controller.ros.transforms import ODOM
-from valor_ros_controller.ros.twin_publisher import TwinPublisher
+from valor.common.messages import MotionState
+from valor.valor_ros_controller.ros.transforms import ODOM
+from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
 
 RATE = 25.0  # of the points [Hz]
 STATE_RATE = 10.0  # of the motion state [Hz]

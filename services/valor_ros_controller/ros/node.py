@@ -10,7 +10,7 @@ from rclpy.executors import ExternalShutdownException, ShutdownException, Single
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from valor_common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError
 
 _log = logging.getLogger("ros")
 

@@ -14,14 +14,14 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from valor_common.errors import ConfigurationError
-from valor_ros_controller.controllers.configuration import (
+from valor.common.errors import ConfigurationError
+from valor.valor_ros_controller.controllers.configuration import (
     Settings,
     TrajectoryControllerConfig,
 )
-from valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor_ros_controller.trajectory.limits import Vector
-from valor_ros_controller.trajectory.tolerances import Tolerances
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.trajectory.limits import Vector
+from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 
 T = TypeVar("T", bool, float)
 

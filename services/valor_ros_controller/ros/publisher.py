@@ -22,12 +22,12 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, Imu, JointState
 from std_msgs.msg import String
 
-from valor_common.messages import Proprioceptor
-from valor_common.robot import RobotDescription
-from valor_ros_controller.kinematic_tree import KinematicTree
-from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
-from valor_ros_controller.ros.transforms import ODOM, TransformPublisher
-from valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.common.messages import Proprioceptor
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.valor_ros_controller.ros.transforms import ODOM, TransformPublisher
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 Vector = npt.NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from valor_ros_controller.valor_escher_interface import ValorEscherInterface
+from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 TOPIC = "/flor/controller/robot_status"
 _LOST = ("fall", "get_up")

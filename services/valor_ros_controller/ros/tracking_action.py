@@ -9,8 +9,8 @@ from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
-from valor_ros_controller.controllers.tracking_controller import TrackingController
-from valor_ros_controller.ros.deferred_action_server import DeferredActionServer
+from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
+from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 
 _log = logging.getLogger("tracking_controller")
 

@@ -13,10 +13,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
-from valor_common.messages import MotionState
-from valor_common.robot import RobotDescription
-from valor_ros_controller.kinematic_tree import KinematicTree
-from valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.common.messages import MotionState
+from valor.common.robot import RobotDescription
+from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 
 Vector = npt.NDArray[np.float64]
 Point = tuple[float, float, float]

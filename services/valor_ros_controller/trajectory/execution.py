@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.limits import JointLimits, Vector
-from valor_ros_controller.trajectory.splines import check_segments, spline
-from valor_ros_controller.trajectory.waypoints import Waypoints
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.limits import JointLimits, Vector
+from valor.valor_ros_controller.trajectory.splines import check_segments, spline
+from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 
 START_TOLERANCE = 0.1
 """How far a point at time 0 may be from the present set-point [rad or m]: it tells where the sender thinks we are."""

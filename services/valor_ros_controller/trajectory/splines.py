@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
 
 SPEED_MARGIN = 1.01
 """How far the peak of a spline may exceed the speed limit: planners place way-points at the limit itself."""

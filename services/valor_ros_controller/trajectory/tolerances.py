@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.limits import JointLimits, Vector
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.limits import JointLimits, Vector
 
 
 @dataclass(frozen=True)

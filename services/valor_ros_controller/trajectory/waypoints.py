@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
-from valor_ros_controller.trajectory.splines import SPEED_MARGIN, check_segments, spline
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.trajectory.splines import SPEED_MARGIN, check_segments, spline
 
 _END_VELOCITY = 1e-6  # [1/s]
 

@@ -14,7 +14,11 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.whole_body import (
+from valor.common.messages import JointMode, Motor
+from valor.common.model import controller_model
+from valor.common.robot import RobotDescription, RobotTables
+from valor.common.table import checked, plain
+from valor.motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,
     RobotState,
@@ -22,12 +26,8 @@ from motion_manager.whole_body import (
     WholeBodyCommand,
     WholeBodyController,
 )
-from valor_common.messages import JointMode, Motor
-from valor_common.model import controller_model
-from valor_common.robot import RobotDescription, RobotTables
-from valor_common.table import checked, plain
-from valor_simulation.plant import Plant
-from valor_simulation.sensors import Sensors
+from valor.simulation.plant import Plant
+from valor.simulation.sensors import Sensors
 
 FloatArray = npt.NDArray[np.float64]
 ROBOTS = Path(__file__).parents[3] / "robots"

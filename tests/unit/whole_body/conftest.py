@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.dynamics import Dynamics
 from tests.unit.whole_body.closed_loop import load_robot
-from valor_common.model import Model, controller_model
-from valor_common.robot import RobotDescription
+from valor.common.model import Model, controller_model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.dynamics import Dynamics
 
 FloatArray = npt.NDArray[np.float64]
 

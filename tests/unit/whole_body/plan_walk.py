@@ -9,19 +9,19 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Behavior
-from motion_manager.handlers.footstep_plan import FootstepPlanHandler
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body.walking.gait import sole_poses
-from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.swing import SolePose
 from tests.unit.whole_body.closed_loop import ClosedLoop
-from valor_common.messages import Footstep, FootstepPlanRequest
-from valor_common.poses import Pose
-from valor_common.robot import RobotDescription
-from valorctl.step_plan import FEET, PlanStep
-from valorctl.step_planner import middle
+from valor.common.messages import Footstep, FootstepPlanRequest
+from valor.common.poses import Pose
+from valor.common.robot import RobotDescription
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body.walking.gait import sole_poses
+from valor.motion_manager.whole_body.walking.step_queue import StepQueue
+from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.valorctl.step_plan import FEET, PlanStep
+from valor.valorctl.step_planner import middle
 
 STEP_DURATION = 10.0  # no step takes longer, with the weight's transfer [s]
 REST = 1.0  # after the last step, before the feet are looked at [s]

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motion_manager.kernel import Expression, Kernel
-from motion_manager.whole_body.arms import UpperBodyKinematics
-from motion_manager.whole_body.dcm import DcmLaw
-from motion_manager.whole_body.reference import followed, minimum_jerk
-from valor_common.model import Model
-from valor_common.robot import RobotDescription
+from valor.common.model import Model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.whole_body.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.dcm import DcmLaw
+from valor.motion_manager.whole_body.reference import followed, minimum_jerk
 
 OMEGA = DcmLaw.natural_frequency(0.86, 9.81)
 STEP = 5e-4  # of the integration [s]

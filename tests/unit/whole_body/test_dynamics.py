@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, Dynamics
 from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
-from valor_common.model import Model
+from valor.common.model import Model
+from valor.motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, Dynamics
 
 STATES = 5
 

@@ -10,17 +10,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from motion_manager.kernel import Expression, Kernel
-from motion_manager.whole_body import FloatingBaseEstimator, RobotState, rotation
-from motion_manager.whole_body.attitude import LARGEST_LEVEL, Attitude
-from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, Odometry
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop
 from tests.unit.whole_body.conftest import FloatArray
-from valor_common.messages import Proprioceptor
-from valor_common.model import Model, controller_model
-from valor_common.robot import RobotDescription
+from valor.common.messages import Proprioceptor
+from valor.common.model import Model, controller_model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.whole_body import FloatingBaseEstimator, RobotState, rotation
+from valor.motion_manager.whole_body.attitude import LARGEST_LEVEL, Attitude
+from valor.motion_manager.whole_body.dynamics import Dynamics
+from valor.motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, Odometry
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 
 @dataclass

@@ -10,8 +10,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from motion_manager.whole_body import FallDetector, RobotState, rotation
-from motion_manager.whole_body.support import (
+from tests.unit.whole_body.closed_loop import ClosedLoop
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body import FallDetector, RobotState, rotation
+from valor.motion_manager.whole_body.support import (
     Point,
     convex_hull,
     corners_on_ground,
@@ -20,8 +22,6 @@ from motion_manager.whole_body.support import (
     sole_corners,
     surely_within,
 )
-from tests.unit.whole_body.closed_loop import ClosedLoop
-from valor_common.robot import RobotDescription
 
 MILLISECOND = 1_000_000  # [ns]
 coordinates = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))

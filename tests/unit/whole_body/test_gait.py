@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
-from motion_manager.whole_body.walking.step_queue import StepQueue
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common import worlds
-from valor_common.robot import RobotDescription
-from valor_common.worlds.world import ground
+from valor.common import worlds
+from valor.common.robot import RobotDescription
+from valor.common.worlds.world import ground
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
+from valor.motion_manager.whole_body.walking.step_queue import StepQueue
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 
 def walk(loop: ClosedLoop, velocity: tuple[float, float, float], seconds: float) -> tuple[np.ndarray, float]:

@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motion_manager.kernel import Kernel
-from motion_manager.whole_body.limits import JointLimits
 from tests.unit.whole_body.closed_loop import load_robot
+from valor.motion_manager.kernel import Kernel
+from valor.motion_manager.whole_body.limits import JointLimits
 
 ROBOT = load_robot()
 LIMITS = JointLimits(ROBOT, ROBOT.tables.whole_body, slice(0, 27))

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from bifrost import Received
-from motion_manager.behavior_fsm import BehaviorFsm
-from motion_manager.behaviors import Behavior
-from motion_manager.handlers.pelvis import PelvisHandler
-from motion_manager.rejections import Rejections
-from motion_manager.whole_body.dynamics import ModelJoints
-from motion_manager.whole_body.pelvis import LegKinematics, PelvisReference, from_roll_pitch_yaw, roll_pitch_yaw
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.conftest import FloatArray
-from valor_common.messages import PelvisSetpoint
-from valor_common.model import Model
-from valor_common.robot import RobotDescription
-from valor_common.topics import PELVIS
+from valor.common.messages import PelvisSetpoint
+from valor.common.model import Model
+from valor.common.robot import RobotDescription
+from valor.common.topics import PELVIS
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behaviors import Behavior
+from valor.motion_manager.handlers.pelvis import PelvisHandler
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.pelvis import LegKinematics, PelvisReference, from_roll_pitch_yaw, roll_pitch_yaw
 
 
 @pytest.fixture

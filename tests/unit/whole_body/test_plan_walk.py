@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from tests.unit.whole_body.plan_walk import walk_plan
-from valor_common.robot import RobotDescription
-from valorctl.step_plan import PlanStep
+from valor.common.robot import RobotDescription
+from valor.valorctl.step_plan import PlanStep
 
 
 def test_the_feet_come_to_stand_where_the_plan_says(robot: RobotDescription) -> None:

@@ -8,16 +8,16 @@ import daqp
 import numpy as np
 import pytest
 
-from motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators
-from motion_manager.whole_body.dynamics import SOLES, Dynamics
-from motion_manager.whole_body.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
-from motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
-from motion_manager.whole_body.rotation import IDENTITY
-from motion_manager.whole_body.state import QpStatus
-from motion_manager.whole_body.tasks import Objective
 from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
-from valor_common.model import Model
-from valor_common.robot import RobotDescription
+from valor.common.model import Model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators
+from valor.motion_manager.whole_body.dynamics import SOLES, Dynamics
+from valor.motion_manager.whole_body.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
+from valor.motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
+from valor.motion_manager.whole_body.rotation import IDENTITY
+from valor.motion_manager.whole_body.state import QpStatus
+from valor.motion_manager.whole_body.tasks import Objective
 
 EQUALITY = 5  # DAQP's sense
 

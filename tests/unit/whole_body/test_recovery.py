@@ -10,12 +10,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT
-from motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
-from motion_manager.whole_body.walking.swing import SolePose
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT
+from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
+from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "right": (0.0, -1.0, 0.0)}
 PERIOD = 2_000_000  # [ns]

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from tests.conftest import ROBOTS
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.plan_walk import walk_plan
-from valorctl.step_planner import plan_to
+from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.valorctl.step_planner import plan_to
 
 SPEED = 0.3  # [m/s]
 DURATION = 3.0  # [s]

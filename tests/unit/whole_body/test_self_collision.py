@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.dynamics import Dynamics
-from motion_manager.whole_body.self_collision import SelfCollision
-from motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose
-from motion_manager.whole_body.walking.swing import SolePose
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.conftest import FloatArray
-from valor_common.errors import ConfigurationError
-from valor_common.model import controller_model
-from valor_common.robot import RobotDescription
+from valor.common.errors import ConfigurationError
+from valor.common.model import controller_model
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.dynamics import Dynamics
+from valor.motion_manager.whole_body.self_collision import SelfCollision
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 NOBODY: dict[str, dict[str, object]] = {"self_collision": {"pairs": []}}
 ARM = {"l_shoulder_roll": -0.3, "l_shoulder_yaw": -1.5, "l_elbow_pitch": 0.3, "l_shoulder_pitch": 0.2}  # into the chest

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motion_manager.whole_body import RobotState, rotation
-from motion_manager.whole_body.reference import Feet
-from motion_manager.whole_body.stance import hold, stance
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from valor.motion_manager.whole_body import RobotState, rotation
+from valor.motion_manager.whole_body.reference import Feet
+from valor.motion_manager.whole_body.stance import hold, stance
 
 STIFFNESS = 100.0
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motion_manager.whole_body import QpStatus
-from motion_manager.whole_body.reference import minimum_jerk
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.conftest import FloatArray
-from valor_common.robot import RobotDescription, RobotTables
-from valor_common.table import checked, plain
+from valor.common.robot import RobotDescription, RobotTables
+from valor.common.table import checked, plain
+from valor.motion_manager.whole_body import QpStatus
+from valor.motion_manager.whole_body.reference import minimum_jerk
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
-from motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
-from motion_manager.whole_body.walking.step_guard import StepGuard
 from tests.unit.whole_body.closed_loop import load_robot
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
+from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
+from valor.motion_manager.whole_body.walking.step_guard import StepGuard
 
 OMEGA = 3.377
 TRANSFER = 0.2

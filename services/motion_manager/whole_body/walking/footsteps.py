@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.walking.swing import SolePose
-from valor_common.robot import Footsteps
+from valor.common.robot import Footsteps
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 FloatArray = npt.NDArray[np.float64]
 

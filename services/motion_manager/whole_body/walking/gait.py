@@ -16,13 +16,13 @@ from math import hypot, inf, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.whole_body.state import RobotState
-from motion_manager.whole_body.walking.dcm_plan import DcmPlan
-from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, StepSource
-from motion_manager.whole_body.walking.recovery import RecoverySteps
-from motion_manager.whole_body.walking.step_guard import StepGuard
-from motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body.state import RobotState
+from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, StepSource
+from valor.motion_manager.whole_body.walking.recovery import RecoverySteps
+from valor.motion_manager.whole_body.walking.step_guard import StepGuard
+from valor.motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 
 FloatArray = npt.NDArray[np.float64]
 

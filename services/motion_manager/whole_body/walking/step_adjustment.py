@@ -31,11 +31,11 @@ import casadi as ca
 import daqp
 import numpy as np
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.state import FloatArray
-from motion_manager.whole_body.walking.footsteps import LEFT, Step
-from motion_manager.whole_body.walking.swing import SolePose
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.state import FloatArray
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 UNBOUNDED = 1e30  # to the solver
 PEAK = 1.875  # of a minimum-jerk motion's speed to its mean

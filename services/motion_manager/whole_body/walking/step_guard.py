@@ -17,12 +17,12 @@ from math import exp, inf
 
 import numpy as np
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.state import FloatArray
-from motion_manager.whole_body.walking.footsteps import Step
-from motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster, transfer_gain
-from motion_manager.whole_body.walking.swing import SolePose
-from valor_common.robot import RobotDescription
+from valor.common.robot import RobotDescription
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.state import FloatArray
+from valor.motion_manager.whole_body.walking.footsteps import Step
+from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster, transfer_gain
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 
 class StepGuard:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from motion_manager.whole_body.walking.footsteps import Step
-from motion_manager.whole_body.walking.swing import SolePose
+from valor.motion_manager.whole_body.walking.footsteps import Step
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 
 class StepQueue:

@@ -14,7 +14,7 @@ from math import cos, sin
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body import rotation
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from math import cos, inf, sin
 import numpy as np
 import numpy.typing as npt
 
-from motion_manager.whole_body import rotation
-from motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
-from motion_manager.whole_body.walking.ground import GroundPlane
-from motion_manager.whole_body.walking.swing import SolePose
-from valor_common.robot import Walking
+from valor.common.robot import Walking
+from valor.motion_manager.whole_body import rotation
+from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
+from valor.motion_manager.whole_body.walking.ground import GroundPlane
+from valor.motion_manager.whole_body.walking.swing import SolePose
 
 FloatArray = npt.NDArray[np.float64]
 

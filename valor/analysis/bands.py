@@ -1,0 +1,73 @@
+"""What the Motion System was doing, as colored bands under a plot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+
+from valor.analysis.bag import Array
+from valor.analysis.recording import Recording
+from valor.common.topics import MOTION_STATE
+
+HEIGHT = 0.05  # of the axes
+_COLORS = {
+    "idle": "#c9ced6", "stand_prep": "#e3d5a8", "stand": "#b7d3ea", "stand_manipulate": "#bfe3cf",
+    "walk": "#f1c8a5", "walk_manipulate": "#f4dd9a", "step": "#e8bfd4", "step_manipulate": "#d9c3ec",
+    "soft_stop": "#e6a5a0", "freeze": "#d98c86", "fall": "#b55a52",
+}  # fmt: skip
+_OTHER = "#dde1e6"
+
+
+def color(behavior: str) -> str:
+    """Of a behavior's band."""
+    return _COLORS.get(behavior, _OTHER)
+
+
+def keys(behaviors: Iterable[str]) -> list[Patch]:
+    """For a legend of bands that do not name themselves: a patch a behavior, in the order of their first sight."""
+    return [Patch(color=color(name), label=name.replace("_", " ")) for name in dict.fromkeys(map(str, behaviors))]
+
+
+def make_room(axes: Axes) -> None:
+    """Lower the foot of a plot, so that bands stand below its values rather than over them."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 1.4 * HEIGHT * (high - low), high)
+    axes.set_yticks([tick for tick in axes.get_yticks() if low <= tick <= high])
+
+
+def bands_of(axes: Axes, recording: Recording, start: float, end: float, label: bool = True) -> None:
+    """Draw a recording's bands under a plot whose zero is ``start`` and that ends at ``end``, both robot time [s]."""
+    states = recording.series(MOTION_STATE)
+    shown = np.flatnonzero((states.time >= start) & (states.time <= end))
+    if shown.size:
+        bands(axes, states.time[shown] - start, states.strings("behavior")[shown], label)
+
+
+def bands(axes: Axes, time: Array, behavior: npt.NDArray[np.str_], label: bool = True) -> None:
+    """Draw them along the bottom of some axes.
+
+    Args:
+        axes: the plot.
+        time: (m,) in the plot's own time, ascending.
+        behavior: (m,) at these times.
+        label: whether each band names its behavior, where there is room.
+    """
+    if not len(time):
+        return
+    edges = np.flatnonzero(behavior[1:] != behavior[:-1]) + 1
+    starts = np.concatenate(([0], edges))
+    ends = np.concatenate((edges, [len(time) - 1]))
+    whole = float(time[-1] - time[0]) or 1.0
+    for start, end in zip(starts, ends, strict=True):
+        name = str(behavior[start])
+        begin, stop = float(time[start]), float(time[end])
+        axes.axvspan(begin, stop, ymin=0.0, ymax=HEIGHT, color=color(name), linewidth=0.0, zorder=0.5)
+        if label and (stop - begin) / whole > 0.012 * len(name):
+            axes.text(
+                0.5 * (begin + stop), 0.5 * HEIGHT, name.replace("_", " "), fontsize=7, color="#4a525c",
+                ha="center", va="center", transform=axes.get_xaxis_transform(),
+            )  # fmt: skip

@@ -1,0 +1,206 @@
+"""Where a hand was meant to be, was told to be, and was: the end-effector errors of thesis 5.4.
+
+All poses are of the hand's frame in odom, by forward kinematics on the robot's nominal model.
+
+- *Fixed base*: the chest, which carries the arms, is taken to stay where it was at the beginning. What planners and
+  clients assume.
+- *Floating base*: the chest is where the estimator says. The Whole-Body Controller keeps the center of mass over the
+  feet, so the chest gives way to what the arm does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from valor.analysis.bag import Array
+from valor.analysis.errors import BagError
+from valor.analysis.recording import Recording, nearest
+from valor.analysis.timeline import Motion, Timeline
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
+from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, PROPRIOCEPTOR
+
+RATE = 100.0  # of the poses [Hz]
+
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True)
+class Poses:
+    """A frame over time.
+
+    Attributes:
+        position: (m, 3) [m].
+        rotation: (m, 3, 3).
+    """
+
+    position: Array
+    rotation: Array
+
+    def inside(self, outer: Poses) -> Poses:
+        """These poses, of a frame in a second one, in the frame that the second one's poses are of."""
+        return Poses(
+            outer.position + np.einsum("mij,mj->mi", outer.rotation, self.position), outer.rotation @ self.rotation
+        )
+
+    def first(self) -> Poses:
+        """The first pose alone, as (1, …): it broadcasts against any number of others."""
+        return Poses(self.position[:1], self.rotation[:1])
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """One frame's poses against another's.
+
+    Attributes:
+        position: (m, 3) difference in odom's axes [m].
+        orientation: (m, 3) roll, pitch, yaw of the turn between them [rad].
+    """
+
+    position: Array
+    orientation: Array
+
+    @classmethod
+    def of(cls, actual: Poses, wanted: Poses) -> PoseError:
+        """Actual minus wanted."""
+        turn = np.swapaxes(wanted.rotation, -1, -2) @ actual.rotation
+        return cls(actual.position - wanted.position, Rotation.from_matrix(turn).as_euler("xyz"))
+
+    @property
+    def distance(self) -> Array:
+        """(m,) between the positions [m]."""
+        made: Array = np.linalg.norm(self.position, axis=1)
+        return made
+
+
+class Hand:
+    """Forward kinematics of a hand and of the chest that carries its arm."""
+
+    def __init__(self, robot: RobotDescription, side: Side) -> None:
+        self._model = full_model(robot)
+        self._data = mujoco.MjData(self._model.mj)
+        self._site = self._model.site(getattr(robot.tables.hands, side).site)
+        self._chest = self._model.body(robot.tables.chest)
+
+    def in_chest(self, joints: Array) -> Poses:
+        """The hand in the chest's frame, for joint positions (m, n) [rad]."""
+        return self._poses(joints, None, None)[1]
+
+    def in_odom(self, joints: Array, position: Array, orientation: Array) -> tuple[Poses, Poses]:
+        """The chest and the hand, for joints (m, n) [rad] and the pelvis' position (m, 3) [m], orientation (m, 4)."""
+        chest, hand = self._poses(joints, position, orientation)
+        return chest, hand.inside(chest)
+
+    def _poses(self, joints: Array, position: Array | None, orientation: Array | None) -> tuple[Poses, Poses]:
+        """The chest in odom, and the hand in the chest."""
+        model, data = self._model, self._data
+        m = len(joints)
+        chest, hand = (Poses(np.empty((m, 3)), np.empty((m, 3, 3))) for _ in range(2))
+        data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        for i in range(m):
+            if position is not None and orientation is not None:
+                data.qpos[:3], data.qpos[3:7] = position[i], orientation[i]
+            data.qpos[model.qpos] = joints[i, model.joint_indices]
+            mujoco.mj_kinematics(model.mj, data)
+            turn = data.xmat[self._chest].reshape(3, 3)
+            chest.position[i], chest.rotation[i] = data.xpos[self._chest], turn
+            hand.position[i] = turn.T @ (data.site_xpos[self._site] - data.xpos[self._chest])
+            hand.rotation[i] = turn.T @ data.site_xmat[self._site].reshape(3, 3)
+        return chest, hand
+
+
+@dataclass(frozen=True)
+class HandTrack:
+    """A hand over an experiment; m moments.
+
+    Attributes:
+        time: (m,) robot time [s].
+        behavior: (m,) of the Motion System.
+        chest: in odom, by the estimate.
+        reference: where the last goal would have the hand, on a fixed base.
+        command: where the VRC's set-points would have it, on a fixed base.
+        fixed: where the measured joints would have it, on a fixed base.
+        floating: where it was by the measured joints and the estimated pelvis.
+        motions: those that moved this arm.
+    """
+
+    time: Array
+    behavior: np.typing.NDArray[np.str_]
+    chest: Poses
+    reference: Poses
+    command: Poses
+    fixed: Poses
+    floating: Poses
+    motions: list[Motion]
+
+    @classmethod
+    def of(cls, recording: Recording, timeline: Timeline, side: Side) -> HandTrack:
+        """From a bag and what was asked.
+
+        Raises:
+            BagError: the bag lacks a topic, or no motion moved that arm.
+        """
+        robot = recording.robot
+        arm = robot.tables.groups[f"{side}_arm"]
+        motions = [motion for motion in timeline.motions if set(motion.goal) & set(arm)]
+        if not motions:
+            raise BagError(f"{recording.bag.path}: no motion moved the {side} arm")
+        recording.load(PROPRIOCEPTOR, MOTION_STATE, JOINT_SETPOINTS)
+        states = recording.series(MOTION_STATE)
+        measured_at, measured = recording.measured()
+        begin = max(motions[0].start, measured_at[0], states.time[0])
+        end = min(motions[-1].end, measured_at[-1], states.time[-1])
+        time = np.arange(begin, end, 1.0 / RATE)
+        if not len(time):
+            raise BagError(f"{recording.bag.path}: {measured_at[0]:.1f}–{measured_at[-1]:.1f} s: without the motions")
+        at = nearest(measured_at, time)
+        joints = measured[at]
+        told, wanted = joints.copy(), joints.copy()
+        setpoints = recording.setpoints()
+        for joint in arm:
+            column = robot.index[joint]
+            if joint in setpoints:
+                told[:, column] = np.interp(time, *setpoints[joint])
+            reference = timeline.reference(joint, time)
+            wanted[:, column] = np.where(np.isnan(reference), joints[0, column], reference)
+        hand = Hand(robot, side)
+        pelvis = nearest(states.time, time)
+        chest, floating = hand.in_odom(
+            joints, states["pelvis_position_in_odom"][pelvis], states["pelvis_orientation_in_odom"][pelvis]
+        )
+        base = chest.first()
+        return cls(
+            time, states.strings("behavior")[pelvis], chest,
+            hand.in_chest(wanted).inside(base), hand.in_chest(told).inside(base), hand.in_chest(joints).inside(base),
+            floating, motions,
+        )  # fmt: skip
+
+    @property
+    def command_error(self) -> PoseError:
+        """What the VRC still has to go: set-points from the goal, fixed base (figure 5.8)."""
+        return PoseError.of(self.command, self.reference)
+
+    @property
+    def tracking_error(self) -> PoseError:
+        """Measured from the VRC's set-points, fixed base (figures 5.9, 5.14)."""
+        return PoseError.of(self.fixed, self.command)
+
+    @property
+    def total_error(self) -> PoseError:
+        """Measured, with the base where it was, from the goal (figures 5.11, 5.15)."""
+        return PoseError.of(self.floating, self.reference)
+
+    @property
+    def base_error(self) -> PoseError:
+        """What the base's motion does to the hand: with it from without it (figures 5.12, 5.15)."""
+        return PoseError.of(self.floating, self.fixed)
+
+    def settled(self, motion: Motion) -> np.typing.NDArray[np.bool_]:
+        """(m,) which moments are the last before a motion's end, at rest."""
+        begin, end = motion.rest
+        return (self.time >= begin) & (self.time <= end)

@@ -1,0 +1,68 @@
+"""MuJoCo's renderer without a display.
+
+``mujoco.Renderer`` takes whatever OpenGL platform ``MUJOCO_GL`` named when mujoco was first imported, which somebody
+else did. Here the platform is ours: EGL, unless ``MUJOCO_GL`` says ``osmesa``.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor.analysis.errors import RenderingError
+
+Image = npt.NDArray[np.uint8]
+
+_MAX_GEOMS = 4000
+_INSTALL = "no off-screen OpenGL here: install libegl1 and libgl1-mesa-dri (Debian, Ubuntu)"
+
+
+class Offscreen:
+    """Draws images of one size of one model.
+
+    Raises:
+        RenderingError: the OpenGL platform is not there; names what to install.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        self._model = model
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self._image: Image = np.zeros((height, width, 3), dtype=np.uint8)
+        self._platform = _platform(width, height)
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+        self._option = mujoco.MjvOption()
+
+    def render(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Image:
+        """(height, width, 3) what the camera sees."""
+        everything = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateCamera(self._model, data, camera, self._scene)  # the headlight takes the scene's last camera
+        mujoco.mjv_updateScene(self._model, data, self._option, None, camera, everything, self._scene)
+        mujoco.mjr_render(self._rectangle, self._scene, self._context)
+        mujoco.mjr_readPixels(self._image, None, self._rectangle, self._context)
+        return self._image[::-1]  # OpenGL's first row is the lowest
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        self._context.free()
+        self._platform.free()
+
+
+def _platform(width: int, height: int) -> Any:
+    """A current OpenGL context."""
+    try:
+        if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
+            from mujoco.osmesa import GLContext
+        else:
+            from mujoco.egl import GLContext
+        context = GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # whatever the platform's bindings raise when a library or a device is missing
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise RenderingError(f"{_INSTALL}; {text}") from None
+    return context

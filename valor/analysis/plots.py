@@ -1,0 +1,209 @@
+"""Plots from a bag: how well the joints followed, how still the robot stood."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from valor.analysis import style
+from valor.analysis.bag import Array, Bag
+from valor.analysis.bands import bands_of
+from valor.analysis.errors import BagError
+from valor.analysis.recording import Recording, nearest, recorded
+from valor.common.robot import RobotDescription
+from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+
+MARGIN = 1.0  # shown before and after the arms are free [s]
+STILL = 0.002  # slower than this a set-point is at rest [rad/s]
+FRESH = 0.05  # a set-point speaks for measurements this near [s]
+_COLUMNS = 2
+
+
+@dataclass(frozen=True)
+class _Error:
+    """How far one joint was from its set-point."""
+
+    joint: str
+    time: Array  # (m,) from the window's start [s]
+    value: Array  # (m,) measured minus set-point [rad]
+    reference: Array  # (m,) the set-point [rad]
+
+    @property
+    def rms_at_rest(self) -> float:
+        """Root mean square [rad] where the set-point stands still; NaN: nowhere."""
+        if len(self.time) < 3:
+            return math.nan
+        still = np.abs(np.gradient(self.reference, self.time)) < STILL
+        return float(np.sqrt(np.mean(self.value[still] ** 2))) if still.any() else math.nan
+
+
+def joint_tracking(bag: Bag | Path, robot: RobotDescription, groups: Iterable[str], out: Path) -> list[Path]:
+    """Reference, command and measurement of every joint of some groups against time, and the error below.
+
+    Args:
+        bag: the recording.
+        robot: whose it is.
+        groups: of robot.yaml; one file a group.
+        out: the folder for ``joint_tracking_<group>.png``.
+
+    Returns:
+        The files made.
+
+    Raises:
+        BagError: the bag is broken or lacks a topic; names it.
+    """
+    recording = Recording(Bag.of(bag), robot)
+    recording.load(PROPRIOCEPTOR, MOTOR, MOTION_STATE, JOINT_SETPOINTS)
+    return [_track_group(recording, group, out) for group in groups]
+
+
+def _track_group(recording: Recording, group: str, out: Path) -> Path:
+    robot = recording.robot
+    if group not in robot.tables.groups:
+        raise BagError(f"robot {robot.name!r} has no joint group {group!r}; it has {', '.join(robot.tables.groups)}")
+    joints = robot.tables.groups[group]
+    times, measured = recording.measured()
+    command_times, commands = recording.commands()
+    setpoints = recording.setpoints()
+    first, last = _window(recording, times)
+    rows = math.ceil(len(joints) / _COLUMNS)
+    height = 1.05 + 1.75 * rows + 2.85
+    figure = style.figure(11.0, height)
+    grid = figure.add_gridspec(
+        rows + 1, _COLUMNS, height_ratios=[1.0] * rows + [1.45], left=0.075, right=0.985,
+        bottom=0.85 / height, top=1.0 - 1.12 / height, hspace=0.55, wspace=0.16,
+    )  # fmt: skip
+    errors: list[_Error] = []
+    shown = (times >= first) & (times <= last)
+    commanded = (command_times >= first) & (command_times <= last)
+    for i, joint in enumerate(joints):
+        axes = figure.add_subplot(grid[i // _COLUMNS, i % _COLUMNS])
+        column = robot.index[joint]
+        label = "position [rad]" if i % _COLUMNS == 0 else ""
+        style.quiet(axes, joint, "", label)
+        axes.set_xlim(0.0, last - first)
+        style.curve(axes, times[shown] - first, measured[shown, column], style.MEASURED, 2.2)
+        style.curve(axes, command_times[commanded] - first, commands[commanded, column], style.COMMAND, 1.3)
+        if joint in setpoints:
+            at, reference = setpoints[joint]
+            near = (at >= first) & (at <= last)
+            style.curve(axes, at[near] - first, reference[near], style.REFERENCE, 1.1, linestyle=(0, (4, 2)))
+            fresh = np.abs(times - at[nearest(at, times)]) < FRESH
+            covered = shown & fresh
+            desired = np.interp(times[covered], at, reference)
+            errors.append(_Error(joint, times[covered] - first, measured[covered, column] - desired, desired))
+        _widen(axes)
+        bands_of(axes, recording, first, last, label=False)
+    errors_axes = figure.add_subplot(grid[rows, :])
+    _plot_errors(errors_axes, errors, last - first)
+    bands_of(errors_axes, recording, first, last)
+    largest = max((float(np.abs(error.value).max()) for error in errors if error.value.size), default=math.nan)
+    at_rest = max((error.rms_at_rest for error in errors if error.value.size), default=math.nan)
+    style.heading(
+        figure,
+        f"{robot.name.upper()}: tracking of the {group.replace('_', ' ')}",
+        f"largest error {1e3 * largest:.1f} mrad; at rest {1e3 * at_rest:.2f} mrad rms of the worst joint",
+    )
+    style.legend(
+        figure,
+        [
+            Line2D([], [], color=style.REFERENCE, linestyle=(0, (4, 2)), linewidth=1.1, label="set-point (ROS side)"),
+            Line2D([], [], color=style.COMMAND, linewidth=1.3, label="motor command"),
+            Line2D([], [], color=style.MEASURED, linewidth=2.2, label="measured"),
+        ],
+        loc="upper right",
+        bbox_to_anchor=(0.99, 1.0 - 0.12 / height),
+        ncols=3,
+    )
+    return style.save(figure, out / f"joint_tracking_{group}.png")
+
+
+def _plot_errors(axes: Axes, errors: list[_Error], end: float) -> None:
+    style.quiet(axes, "error: measured − set-point", "robot time from the window's start [s]", "[mrad]")
+    axes.set_xlim(0.0, end)
+    axes.axhline(0.0, color=style.GREY, linewidth=0.8)
+    for error, color in zip(errors, style.SERIES, strict=False):
+        style.curve(axes, error.time, 1e3 * error.value, color, 1.2, label=error.joint)
+    if errors:
+        handles, _ = axes.get_legend_handles_labels()
+        style.legend(axes, handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), ncols=len(errors))
+    else:
+        axes.text(0.5, 0.5, "no set-points for these joints", transform=axes.transAxes, ha="center", color=style.GREY)
+
+
+def balance(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
+    """How far pelvis and CoM moved while the arms were free, believed and true.
+
+    Args:
+        bag: the recording.
+        robot: whose it is.
+        out: the folder for ``balance.png``.
+
+    Returns:
+        The file made.
+
+    Raises:
+        BagError: the bag is broken or lacks a topic; names it.
+    """
+    recording = Recording(Bag.of(bag), robot)
+    recording.load(MOTION_STATE)
+    states = recording.series(MOTION_STATE)
+    first, last = _window(recording, states.time)
+    figure = style.figure(11.0, 5.6)
+    grid = figure.add_gridspec(2, 1, left=0.075, right=0.985, bottom=0.09, top=0.83, hspace=0.42)
+    shown = (states.time >= first) & (states.time <= last)
+    at = states.time[shown] - first
+    pelvis = states["pelvis_position_in_odom"][shown]
+    com, dcm = states["com_in_odom"][shown], states["dcm_in_odom"][shown]
+    above = figure.add_subplot(grid[0])
+    style.quiet(above, "pelvis from where it was, horizontal", "", "[cm]")
+    style.curve(above, at, _from_start(pelvis), style.COMMAND, 1.4, label="estimated")
+    if recording.has(GROUND_TRUTH):
+        truth = recording.series(GROUND_TRUTH)
+        near = (truth.time >= first) & (truth.time <= last)
+        true = truth["pelvis_position_in_world"][near]
+        style.curve(above, truth.time[near] - first, _from_start(true), style.MEASURED, 1.4, label="true")
+    style.legend(above, above.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=2)
+    below = figure.add_subplot(grid[1])
+    style.quiet(below, "CoM and DCM from where the CoM was", "robot time from the window's start [s]", "[cm]")
+    for axis, name, color in ((0, "x", style.SERIES[0]), (1, "y", style.SERIES[1])):
+        style.curve(
+            below, at, 100.0 * (dcm[:, axis] - com[0, axis]), color, 0.8, linestyle=(0, (1, 1)), label=f"DCM {name}"
+        )
+        style.curve(below, at, 100.0 * (com[:, axis] - com[0, axis]), color, 1.5, label=f"CoM {name}")
+    style.legend(below, below.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=4)
+    for axes in (above, below):
+        axes.set_xlim(0.0, last - first)
+        bands_of(axes, recording, first, last)
+    style.heading(
+        figure, f"{robot.name.upper()}: balance", f"pelvis moved at most {_from_start(pelvis).max():.2f} cm (estimated)"
+    )
+    return [style.save(figure, out / "balance.png")]
+
+
+def _window(recording: Recording, times: Array) -> tuple[float, float]:
+    """What is shown: around the time in which the arms were free; everything, if they never were."""
+    if not times.size:
+        raise BagError(f"{recording.bag.path}: no messages on {recorded(PROPRIOCEPTOR)}")
+    span = recording.manipulation() or (float(times[0]), float(times[-1]))
+    return max(float(times[0]), span[0] - MARGIN), min(float(times[-1]), span[1] + MARGIN)
+
+
+def _widen(axes: Axes) -> None:
+    """Noise of a joint that rests must not look like motion: at least 0.1 rad from bottom to top."""
+    low, high = axes.get_ylim()
+    if high - low < 0.1:
+        middle = (low + high) / 2.0
+        axes.set_ylim(middle - 0.05, middle + 0.05)
+
+
+def _from_start(positions: Array) -> Array:
+    """Horizontal distance from the first of (m, 3) positions [cm]."""
+    distance: Array = 100.0 * np.linalg.norm(positions[:, :2] - positions[0, :2], axis=1)
+    return distance

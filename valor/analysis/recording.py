@@ -1,0 +1,118 @@
+"""What a bag of the robot says, in the robot's own terms: topics by name, moments, postures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from valor.analysis.bag import Array, Bag, Series
+from valor.analysis.errors import BagError
+from valor.common.robot import RobotDescription
+from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
+
+
+def recorded(topic: Topic) -> str:
+    """The ROS name under which the recorder keeps a Bifrost topic."""
+    return f"/bifrost/{topic.name}"
+
+
+@dataclass(frozen=True)
+class Posture:
+    """The whole robot at one moment."""
+
+    time: float  # robot time [s]
+    behavior: str
+    pelvis_position: Array  # (3,) [m]
+    pelvis_orientation: Array  # (4,) (w, x, y, z)
+    joint_position: Array  # (n,) [rad]
+
+
+class Recording:
+    """A bag with the robot that it is of."""
+
+    def __init__(self, bag: Bag, robot: RobotDescription) -> None:
+        self.bag = bag
+        self.robot = robot
+
+    @property
+    def world(self) -> tuple[str, int]:
+        """Name and seed of the world that the robot was simulated in; a flat one if the bag does not say."""
+        origin = self.bag.origin
+        return origin.get("world", "flat"), int(origin.get("seed", "0"))
+
+    def series(self, topic: Topic) -> Series:
+        """All messages of a Bifrost topic."""
+        return self.bag[recorded(topic)]
+
+    def has(self, topic: Topic) -> bool:
+        """Whether the bag has messages of a Bifrost topic."""
+        return recorded(topic) in self.bag
+
+    def load(self, *topics: Topic) -> None:
+        """Read several topics in one pass."""
+        self.bag.load(*(recorded(topic) for topic in topics))
+
+    def joints(self, topic: Topic, field: str) -> Array:
+        """(m, n) a vector over the joints.
+
+        Raises:
+            BagError: the bag is of a robot with another number of joints.
+        """
+        values = self.series(topic)[field]
+        if values.ndim != 2 or values.shape[1] != len(self.robot.joints):
+            width = values.shape[1] if values.ndim == 2 else 1
+            raise BagError(
+                f"{self.bag.path}: {recorded(topic)}: {width} joints in {field!r}; "
+                f"robot {self.robot.name!r} has {len(self.robot.joints)}"
+            )
+        return values
+
+    def behaviors(self, times: Array) -> npt.NDArray[np.str_]:
+        """The Motion System's behavior at some times [s]."""
+        states = self.series(MOTION_STATE)
+        return states.strings("behavior")[nearest(states.time, times)]
+
+    def manipulation(self) -> tuple[float, float] | None:
+        """When the arms were first and last free to move [s]; None: never."""
+        states = self.series(MOTION_STATE)
+        free = np.flatnonzero(np.char.endswith(states.strings("behavior"), "_manipulate"))
+        return (float(states.time[free[0]]), float(states.time[free[-1]])) if free.size else None
+
+    def posture(self, time: float) -> Posture:
+        """The robot at a time [s]: where it truly was, if the simulator says, else where it believed to be."""
+        states = self.series(MOTION_STATE)
+        joints = self.series(PROPRIOCEPTOR)
+        at = np.array([time])
+        behavior = str(self.behaviors(at)[0])
+        position = self.joints(PROPRIOCEPTOR, "joint_position")[nearest(joints.time, at)[0]]
+        source, frame = (self.series(GROUND_TRUTH), "world") if self.has(GROUND_TRUTH) else (states, "odom")
+        row = nearest(source.time, at)[0]
+        return Posture(
+            time=float(joints.time[nearest(joints.time, at)[0]]),
+            behavior=behavior,
+            pelvis_position=source[f"pelvis_position_in_{frame}"][row],
+            pelvis_orientation=source[f"pelvis_orientation_in_{frame}"][row],
+            joint_position=position,
+        )
+
+    def setpoints(self) -> dict[str, tuple[Array, Array]]:
+        """Set-points of the ROS side by joint: times [s] and positions [rad]."""
+        return self.series(JOINT_SETPOINTS).by_joint("position") if self.has(JOINT_SETPOINTS) else {}
+
+    def commands(self) -> tuple[Array, Array]:
+        """Motor commands: times (m,) [s] and positions (m, n) [rad]."""
+        return self.series(MOTOR).time, self.joints(MOTOR, "position")
+
+    def measured(self) -> tuple[Array, Array]:
+        """Measured joints: times (m,) [s] and positions (m, n) [rad]."""
+        return self.series(PROPRIOCEPTOR).time, self.joints(PROPRIOCEPTOR, "joint_position")
+
+
+def nearest(times: Array, wanted: Array) -> npt.NDArray[np.intp]:
+    """For each wanted time the index of the nearest of ``times``, which ascend."""
+    right = np.clip(np.searchsorted(times, wanted), 1, max(1, len(times) - 1))
+    left = right - 1
+    right = np.minimum(right, len(times) - 1)
+    return np.where(wanted - times[left] <= times[right] - wanted, left, right)

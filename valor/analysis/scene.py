@@ -1,0 +1,110 @@
+"""The robot in its world, in good light, drawn off screen."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor.analysis.offscreen import Image, Offscreen
+from valor.analysis.recording import Posture
+from valor.common import worlds
+from valor.common.model import Model, robot_spec
+from valor.common.robot import RobotDescription
+
+_EXTENT = 2.0  # of what is looked at, whatever the world's: haze, shadows and clipping follow it [m]
+_SUN = (2.5, -1.7, 3.5)  # from where it shines, seen from below the point looked at [m]
+_SUPERSAMPLING = 2  # drawn this much larger, then averaged: edges without steps
+
+
+def scene_spec(robot: RobotDescription, width: int, height: int, world: str, seed: int) -> mujoco.MjSpec:
+    """The robot and its world in a studio: plain sky, one sun with shadows and a fill."""
+    spec = robot_spec(robot, "all")
+    spec.visual.global_.offwidth = width
+    spec.visual.global_.offheight = height
+    spec.visual.quality.shadowsize = 8192
+    spec.visual.quality.offsamples = 0  # drawn larger instead
+    spec.visual.map.shadowclip = 1.6
+    spec.visual.headlight.ambient[:] = 0.32
+    spec.visual.headlight.diffuse[:] = 0.22
+    spec.visual.headlight.specular[:] = 0.05
+    spec.visual.rgba.haze[:] = (0.93, 0.94, 0.96, 1.0)
+    spec.visual.map.haze = 0.4
+    spec.add_texture(
+        name="studio_sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.80, 0.85, 0.91],
+        rgb2=[0.95, 0.96, 0.97],
+        width=256,
+        height=1536,
+    )
+    spec.stat.extent = _EXTENT
+    spec.attach(worlds.load(world, seed), frame=spec.worldbody.add_frame(), prefix="world/")
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=_SUN,
+        dir=[-0.75, 0.5, -1.0],
+        diffuse=[0.75, 0.74, 0.72],
+        specular=[0.3, 0.3, 0.3],
+        castshadow=True,
+    )
+    spec.worldbody.add_light(
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[-2.0, 3.0, 3.0],
+        dir=[0.5, -0.7, -0.6],
+        diffuse=[0.18, 0.19, 0.22],
+        specular=[0.0, 0.0, 0.0],
+        castshadow=False,
+    )
+    return spec
+
+
+class Scene:
+    """Draws one robot in its world, posture by posture.
+
+    Raises:
+        RenderingError: there is no off-screen OpenGL here; names what to install.
+        ConfigurationError: there is no such world.
+    """
+
+    def __init__(self, robot: RobotDescription, width: int, height: int, world: str = "flat", seed: int = 0) -> None:
+        large = (width * _SUPERSAMPLING, height * _SUPERSAMPLING)
+        self._model = Model(robot, scene_spec(robot, *large, world, seed).compile())
+        self._data = mujoco.MjData(self._model.mj)
+        self._offscreen = Offscreen(self._model.mj, *large)
+        self._camera = mujoco.MjvCamera()
+        self._sun = self._model.mj.light("sun").id
+
+    def close(self) -> None:
+        """Give the graphics memory back."""
+        self._offscreen.close()
+
+    def look_at(
+        self,
+        point: npt.NDArray[np.float64],
+        azimuth: float = 148.0,
+        elevation: float = -8.0,
+        distance: float = 2.62,
+    ) -> None:
+        """Turn the camera to a point (3,) in world [m], from a direction [degrees] and a distance [m]."""
+        self._camera.lookat[:] = point
+        # MuJoCo draws shadows near the lamp alone.
+        self._model.mj.light_pos[self._sun] = (*(point[:2] + _SUN[:2]), _SUN[2])
+        self._camera.azimuth, self._camera.elevation, self._camera.distance = azimuth, elevation, distance
+
+    def draw(self, posture: Posture) -> Image:
+        """(height, width, 3) the robot in a posture."""
+        data, model = self._data, self._model
+        data.qpos[:3] = posture.pelvis_position
+        data.qpos[3:7] = posture.pelvis_orientation
+        data.qpos[model.qpos] = posture.joint_position[model.joint_indices]
+        mujoco.mj_kinematics(model.mj, data)
+        mujoco.mj_comPos(model.mj, data)
+        mujoco.mj_camlight(model.mj, data)
+        image = self._offscreen.render(data, self._camera)
+        h, w = image.shape[0] // _SUPERSAMPLING, image.shape[1] // _SUPERSAMPLING
+        blocks = image.reshape(h, _SUPERSAMPLING, w, _SUPERSAMPLING, 3)
+        averaged: Image = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+        return averaged

@@ -1,0 +1,253 @@
+"""How well a robot walked: the figures of one walk, from a bag or from what an observer heard, and its footprints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor.analysis.bag import Array
+from valor.analysis.errors import BagError
+from valor.analysis.recording import Recording, nearest, recorded
+from valor.common.messages import ClockStatus, MotionState, Proprioceptor
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
+from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+
+MOVING = 0.05  # slower than this for good, the walk is over [m/s]
+WALKING = ("walk", "walk_manipulate", "step", "step_manipulate")
+SHORTEST_PRINT = 0.15  # of a foot that stands [s]
+_VERTICAL = 2  # of a wrench
+
+
+def knees(robot: RobotDescription) -> list[int]:
+    """Places of the knees in every joint vector, left and right."""
+    return [robot.index[name] for side in ("left", "right") for name in robot.tables.groups[f"{side}_leg"]
+            if "knee" in name]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Track:
+    """What the Motion Manager said, and what the devices measured when it said so; n control periods, ascending."""
+
+    time: Array  # (n,) robot time [s]
+    sequence: npt.NDArray[np.int64]  # (n,) of the Proprioceptor that each answers
+    walking: npt.NDArray[np.bool_]  # (n,) in a behavior that walks
+    fallen: npt.NDArray[np.bool_]  # (n,)
+    pelvis: Array  # (n, 3) in odom [m]
+    speed: Array  # (n,) of the pelvis [m/s]
+    dcm_error: Array  # (n, 3) from its reference [m]
+    desired_force: Array  # (n, 2) vertical, left and right, as planned [N]
+    measured_force: Array  # (n, 2) the foot sensors' in the same period [N]
+    knee: Array  # (n, 2) [rad]
+    tick: Array  # (n,) [s]
+    qp_failures: npt.NDArray[np.int64]  # (n,) since start
+    saturations: npt.NDArray[np.int64]  # (n,) since start
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        """From a bag.
+
+        Raises:
+            BagError: it lacks a topic; names it.
+        """
+        recording.load(MOTION_STATE, PROPRIOCEPTOR)
+        states, measured = recording.series(MOTION_STATE), recording.series(PROPRIOCEPTOR)
+        behaviors = states.strings("behavior")
+        rows = nearest(measured["sequence"], states["proprioceptor_sequence"])
+        feet = [measured[f"{side}_foot_wrench"][rows, _VERTICAL] for side in ("left", "right")]
+        return cls(
+            time=states.time,
+            sequence=states["proprioceptor_sequence"].astype(np.int64),
+            walking=np.isin(behaviors, WALKING),
+            fallen=behaviors == "fall",
+            pelvis=states["pelvis_position_in_odom"],
+            speed=np.linalg.norm(states["pelvis_linear_velocity_in_odom"], axis=1),
+            dcm_error=states["dcm_in_odom"] - states["dcm_reference_in_odom"],
+            desired_force=states["desired_foot_forces"],
+            measured_force=np.column_stack(feet),
+            knee=recording.joints(PROPRIOCEPTOR, "joint_position")[rows][:, knees(recording.robot)],
+            tick=states["tick_time"],
+            qp_failures=states["qp_failures"].astype(np.int64),
+            saturations=states["torque_saturations"].astype(np.int64),
+        )
+
+    @classmethod
+    def heard(cls, states: list[MotionState], measured: list[Proprioceptor], robot: RobotDescription) -> Self:
+        """From messages that an observer kept; states without the measurement that they answer are left out."""
+        answered = {each.sequence: each for each in measured}
+        pairs = [
+            (state, answered[state.proprioceptor_sequence])
+            for state in states
+            if state.proprioceptor_sequence in answered
+        ]
+        both, joints = [state for state, _ in pairs], knees(robot)
+        vertical = [(each.left_foot_wrench[_VERTICAL], each.right_foot_wrench[_VERTICAL]) for _, each in pairs]
+        return cls(
+            time=np.array([1e-9 * state.time for state in both]),
+            sequence=np.array([state.proprioceptor_sequence for state in both], dtype=np.int64),
+            walking=np.array([state.behavior in WALKING for state in both], dtype=bool),
+            fallen=np.array([state.behavior == "fall" for state in both], dtype=bool),
+            pelvis=np.array([state.pelvis_position_in_odom for state in both]),
+            speed=np.array([np.linalg.norm(state.pelvis_linear_velocity_in_odom) for state in both]),
+            dcm_error=np.array([state.dcm_in_odom - state.dcm_reference_in_odom for state in both]),
+            desired_force=np.array([state.desired_foot_forces for state in both]),
+            measured_force=np.array(vertical),
+            knee=np.array([each.joint_position[joints] for _, each in pairs]),
+            tick=np.array([state.tick_time for state in both]),
+            qp_failures=np.array([state.qp_failures for state in both], dtype=np.int64),
+            saturations=np.array([state.torque_saturations for state in both], dtype=np.int64),
+        )
+
+    @classmethod
+    def joined(cls, pieces: Sequence[Self]) -> Self:
+        """One track of pieces that follow each other; at least one."""
+        return cls(
+            **{each.name: np.concatenate([getattr(piece, each.name) for piece in pieces]) for each in fields(cls)}
+        )
+
+    def between(self, first: float, last: float) -> Self:
+        """The part between two times [s]."""
+        inside = (self.time >= first) & (self.time <= last)
+        return type(self)(**{each.name: getattr(self, each.name)[inside] for each in fields(self)})
+
+    def walk(self) -> tuple[float, float]:
+        """When the robot set off and when it came to rest, fell, or left for a behavior that stands [s].
+
+        Raises:
+            BagError: it never walked.
+        """
+        moving = np.flatnonzero(self.walking & (self.speed > MOVING))
+        if not moving.size:
+            raise BagError("the robot never walked")
+        first = float(self.time[moving[0]])
+        after = np.flatnonzero(self.fallen & (self.time > first))
+        return first, float(self.time[after[0]] if after.size else self.time[moving[-1]])
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A walk in numbers; all on what the robot believes and measures."""
+
+    distance: float  # of the pelvis, from first to last [m]
+    duration: float  # [robot time, s]
+    fell: bool
+    dcm_error: tuple[float, float, float]  # root mean square, x, y, z in odom [m]
+    knee: float  # the smallest angle [rad]
+    saturations: int  # joint commands clamped by effort limits
+    force_error: float  # vertical, planned against measured one period later, root mean square of both feet [N]
+    force_error_median: float  # of its magnitude [N]
+    qp_failures: int
+    tick_median: float  # [s]
+    tick_99: float  # [s]
+    ticks: int
+
+    @property
+    def speed(self) -> float:
+        """Mean [m/s]."""
+        return self.distance / self.duration if self.duration else 0.0
+
+    @classmethod
+    def of(cls, track: Track) -> Self:
+        """Of a track that holds the walk and nothing else."""
+        way = track.pelvis[-1] - track.pelvis[0]
+        follows = np.flatnonzero(np.diff(track.sequence) == 1)
+        force = track.measured_force[follows + 1] - track.desired_force[follows]
+        x, y, z = np.sqrt(np.mean(track.dcm_error**2, axis=0)).tolist()
+        return cls(
+            distance=float(np.hypot(way[0], way[1])),
+            duration=float(track.time[-1] - track.time[0]),
+            fell=bool(track.fallen.any()),
+            dcm_error=(x, y, z),
+            knee=float(track.knee.min()),
+            saturations=int(track.saturations[-1] - track.saturations[0]),
+            force_error=float(np.sqrt(np.mean(force**2))),
+            force_error_median=float(np.median(np.abs(force))),
+            qp_failures=int(track.qp_failures[-1] - track.qp_failures[0]),
+            tick_median=float(np.median(track.tick)),
+            tick_99=float(np.percentile(track.tick, 99)),
+            ticks=len(track.tick),
+        )
+
+
+@dataclass(frozen=True)
+class Timeliness:
+    """How well the system kept time in a walk."""
+
+    deadlines_missed: int  # ticks of the Motion Manager that took longer than the control period
+    waits_timed_out: int  # of the Comms Manager for a Motor
+    slip: float  # robot time lost against the wall's [s]
+
+    @classmethod
+    def of(cls, recording: Recording, walk: Track) -> Self:
+        """From a bag, while ``walk`` lasted; what the clock's topic would tell is nothing if the bag lacks it."""
+        waits, slip = 0, 0.0
+        if recording.has(CLOCK):
+            clock = recording.series(CLOCK)
+            ends = nearest(clock.time, walk.time[[0, -1]])
+            waits = int(np.diff(clock["waits_timed_out"][ends])[0])
+            slip = float(np.diff(clock["slip"][ends])[0])
+        return cls(_missed(walk, recording.robot), waits, slip)
+
+    @classmethod
+    def heard(cls, clocks: Sequence[ClockStatus], walk: Track, robot: RobotDescription) -> Self:
+        """From what an observer heard of the clock, first to last, while ``walk`` lasted."""
+        waits, slip = 0, 0.0
+        if clocks:
+            waits = clocks[-1].waits_timed_out - clocks[0].waits_timed_out
+            slip = clocks[-1].slip - clocks[0].slip
+        return cls(_missed(walk, robot), waits, slip)
+
+
+def _missed(walk: Track, robot: RobotDescription) -> int:
+    return int(np.count_nonzero(walk.tick > robot.control_period))
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Where a sole stood."""
+
+    left: bool
+    time: float  # in the middle of its stand [s]
+    position: Array  # (3,) of the sole in world [m]
+    heading: float  # [rad]
+
+
+def footprints(recording: Recording) -> list[Footprint]:
+    """Every stand of a foot, from the simulator's truth, in the order of time.
+
+    Raises:
+        BagError: the bag has no truth.
+    """
+    truth = recording.series(GROUND_TRUTH)
+    contacts, times = truth["contacts"], truth.time
+    pelvis = np.hstack([truth["pelvis_position_in_world"], truth["pelvis_orientation_in_world"]])
+    joints = recording.joints(GROUND_TRUTH, "joint_position")
+    model = full_model(recording.robot)
+    data = mujoco.MjData(model.mj)
+    feet = recording.robot.tables.feet
+    found = []
+    for column, foot in enumerate((feet.left, feet.right)):
+        site = model.site(foot.sole)
+        for first, last in _stands(contacts[:, column] > 0):
+            if times[last] - times[first] < SHORTEST_PRINT:
+                continue
+            middle = (first + last) // 2
+            data.qpos[:7], data.qpos[model.qpos] = pelvis[middle], joints[middle][model.joint_indices]
+            mujoco.mj_kinematics(model.mj, data)
+            axes = data.site_xmat[site].reshape(3, 3)
+            heading = float(np.arctan2(axes[1, 0], axes[0, 0]))
+            found.append(Footprint(column == 0, float(times[middle]), data.site_xpos[site].copy(), heading))
+    if not found:
+        raise BagError(f"{recording.bag.path}: no foot ever stood, by {recorded(GROUND_TRUTH)}")
+    return sorted(found, key=lambda each: each.time)
+
+
+def _stands(touching: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every run of contact."""
+    edges = np.diff(np.concatenate(([0], touching.astype(np.int8), [0])))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))

@@ -1,0 +1,167 @@
+"""The table ``devices`` of robot.yaml: which devices the robot has, which units each has, and who they must be.
+
+Where their ports are is the instance's business (``ports.py``). A unit is what can be found, be asked who it is, and
+fail by itself: a motor controller, a servo, a sensor, a limb.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from valor.common.devices.dynamixel import MODELS
+from valor.common.table import NonNegative, Positive, Table
+
+CanId = Annotated[int, Meta(ge=1, le=63)]
+WrenchPlace = Literal["left_foot", "right_foot", "left_hand", "right_hand"]
+
+
+class Device(Table, tag_field="kind"):
+    """A device; its ``kind`` says which of the tables below it has."""
+
+    @property
+    def kind(self) -> str:
+        """As in the file."""
+        return str(self.__struct_config__.tag)
+
+
+class MotorController(Table):
+    """A motor controller of series-elastic actuators, two axes each."""
+
+    id: CanId
+    serial: str
+    firmware: str
+    axes: Annotated[list[str], Meta(min_length=1, max_length=2)]  # joints, in the controller's order
+
+
+class SeaCanFd(Device, tag="sea_can_fd"):
+    """Series-elastic actuators behind motor controllers on a CAN FD bus."""
+
+    bus: Annotated[int, Meta(ge=0)]
+    controllers: Annotated[list[MotorController], Meta(min_length=1)]
+
+    def __post_init__(self) -> None:
+        _require_distinct("controllers: id", (controller.id for controller in self.controllers))
+
+    @property
+    def joints(self) -> list[str]:
+        """All axes' joints, controller after controller."""
+        return [joint for controller in self.controllers for joint in controller.axes]
+
+
+class WrenchSensor(Table):
+    """A force/torque sensor, and which of Proprioceptor's wrenches it gives."""
+
+    id: CanId
+    at: WrenchPlace
+    serial: str
+    firmware: str
+
+
+class FtCan(Device, tag="ft_can"):
+    """Force/torque sensors on a CAN bus."""
+
+    bus: Annotated[int, Meta(ge=0)]
+    sensors: Annotated[list[WrenchSensor], Meta(min_length=1)]
+
+    def __post_init__(self) -> None:
+        _require_distinct("sensors: id", (sensor.id for sensor in self.sensors))
+        _require_distinct("sensors: at", (sensor.at for sensor in self.sensors))
+
+    @property
+    def joints(self) -> list[str]:
+        """None."""
+        return []
+
+
+class MicroStrainMip(Device, tag="microstrain_mip"):
+    """An inertial measurement unit that speaks MIP on a serial port."""
+
+    model: str
+    serial: str
+    firmware: str
+    rate: Positive  # of its data packets [Hz]
+    baud_rate: Annotated[int, Meta(gt=0)] = 921600
+
+    @property
+    def joints(self) -> list[str]:
+        """None."""
+        return []
+
+
+class DynamixelServo(Table, kw_only=True):
+    """A servo on a Dynamixel bus."""
+
+    id: Annotated[int, Meta(ge=0, le=252)]
+    joint: str
+    model: str  # one of ``valor.common.devices.dynamixel.MODELS``
+    firmware: Annotated[int, Meta(ge=0, le=0xFF)]
+    zero: int  # position at which the joint is at 0 [steps]
+    direction: Literal[1, -1] = 1
+    spin: float | None = None  # turns for ever at this speed, whatever is commanded; absent: obeys [rad/s]
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise ValueError(f"servos: model: {self.model}: expected one of {', '.join(MODELS)}")
+
+
+class Dynamixel(Device, tag="dynamixel_2", kw_only=True):
+    """Servos that speak Dynamixel protocol 2.0 on one serial bus."""
+
+    baud_rate: Annotated[int, Meta(gt=0)]
+    rate: Positive = 100.0  # at which states are read and commands written [Hz]
+    servos: Annotated[list[DynamixelServo], Meta(min_length=1)]
+
+    def __post_init__(self) -> None:
+        _require_distinct("servos: id", (servo.id for servo in self.servos))
+
+    @property
+    def joints(self) -> list[str]:
+        """The servos' joints, in order."""
+        return [servo.joint for servo in self.servos]
+
+
+class HdtLimb(Table):
+    """An arm or a hand of HDT modules, and the joints that the vendor's driver moves."""
+
+    group: str  # of robot.yaml
+    serial: str
+    firmware: str
+    every: Annotated[int, Meta(ge=1)] = 1  # of the cycles, in which it is spoken to
+
+
+class HdtBifrost(Device, tag="hdt_bifrost", kw_only=True):
+    """HDT limbs: their driver is a ROS node, behind Bifrost topics and a bridge."""
+
+    rate: Positive = 100.0  # of states and commands [Hz]
+    bus: Annotated[int, Meta(ge=0)] = 2  # CAN, between the driver and the modules
+    limbs: Annotated[list[HdtLimb], Meta(min_length=1)]
+
+
+DeviceTable = SeaCanFd | FtCan | MicroStrainMip | Dynamixel | HdtBifrost
+
+
+class Calibration(Table):
+    """Where the encoders' zeros are, and the pose in which that is checked before motors are enabled."""
+
+    offsets: dict[str, float] = {}  # what a joint's encoder says at the joint's zero [rad]; not named: 0
+    pose: dict[str, float] = {}  # in which the robot hangs when it is switched on [rad]; not named: nominal_posture
+    tolerance: Positive = 0.05  # of each joint there [rad]
+
+
+class SupplyLimits(Table):
+    """From which temperatures and voltages on a unit is not to be relied on."""
+
+    warm: Positive = 75.0  # the robot shall come to rest [°C]
+    hot: Positive = 95.0  # the unit is about to switch itself off [°C]
+    low: NonNegative = 42.0  # the robot shall come to rest [V]
+    flat: NonNegative = 36.0  # motors are about to switch themselves off [V]
+
+
+def _require_distinct(what: str, values: Iterable[object]) -> None:
+    twice = [str(value) for value, count in Counter(values).items() if count > 1]
+    if twice:
+        raise ValueError(f"{what}: {', '.join(twice)} stands more than once")

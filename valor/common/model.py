@@ -1,0 +1,185 @@
+"""MuJoCo models of a robot: ``model.xml`` with the numbers of ``robot.yaml`` written into it.
+
+``robot_spec`` is what every model begins with. ``controller_model`` and ``full_model`` are compiled from it here; the
+simulated plant, with a world and errors of its own, is built in ``valor.simulation``, so that the two can
+differ. A ``Model`` knows where each joint's numbers stand in MuJoCo's vectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor.common.errors import ConfigurationError
+from valor.common.robot import RobotDescription
+
+Indices = slice | npt.NDArray[np.intp]
+Shapes = Literal["none", "collision", "all"]
+
+WHOLE_BODY_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm")
+"""The groups whose joints the Whole-Body Controller moves; it sees the others welded."""
+
+
+class Model:
+    """A compiled model and the addresses of the robot's joints in it.
+
+    Every ``Indices`` is a slice where the numbers are contiguous, so that indexing gives a view and costs nothing.
+
+    Attributes:
+        robot: the robot's description.
+        mj: the MuJoCo model. The first joint is the floating base.
+        joints: names of the actuated joints in this model, k of them, in the order of ``robot.joints``.
+        joint_indices: their places in every joint vector of the robot.
+        qpos: their places in ``qpos``.
+        dof: their places in ``qvel``, ``qacc`` and every other vector over degrees of freedom.
+    """
+
+    def __init__(self, robot: RobotDescription, mj: mujoco.MjModel) -> None:
+        self.robot = robot
+        self.mj = mj
+        present = {mj.joint(i).name for i in range(mj.njnt)}
+        self.joints = tuple(name for name in robot.joints if name in present)
+        self.joint_indices = _indices(robot.index[name] for name in self.joints)
+        self.qpos = _indices(mj.joint(name).qposadr[0] for name in self.joints)
+        self.dof = _indices(mj.joint(name).dofadr[0] for name in self.joints)
+
+    def body(self, name: str) -> int:
+        """A body's id."""
+        return int(self.mj.body(name).id)
+
+    def shape(self, body: str) -> int:
+        """Id of the largest geom of a body that has any."""
+        geoms = np.flatnonzero(self.mj.geom_bodyid == self.body(body))
+        return int(geoms[np.argmax(self.mj.geom_rbound[geoms])])
+
+    def site(self, name: str) -> int:
+        """A site's id."""
+        return int(self.mj.site(name).id)
+
+    def nominal_qpos(self) -> npt.NDArray[np.float64]:
+        """(nq,) the nominal posture, upright, the soles on the plane z = 0."""
+        qpos: npt.NDArray[np.float64] = self.mj.qpos0.copy()
+        qpos[:7] = (0.0, 0.0, self.robot.tables.nominal_base_height, 1.0, 0.0, 0.0, 0.0)
+        qpos[self.qpos] = self.robot.nominal_posture[self.joint_indices]
+        return qpos
+
+
+def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
+    """The robot alone, not compiled, with its limits, armature and damping as ``robot.yaml`` says.
+
+    Args:
+        robot: the robot's description.
+        shapes: which geoms to keep: those that collide, also those that are only seen, or none.
+
+    Raises:
+        ConfigurationError: ``model.xml`` cannot be read, or its joints are not those of ``robot.yaml``.
+    """
+    file = robot.model_file
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise ConfigurationError(f"{file}: {' '.join(str(error).split())}") from None
+    if spec.compiler.degree:
+        raise ConfigurationError(f"{file}: compiler.angle: expected radian, as in robot.yaml")
+    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if len(free) != 1 or free[0].parent.name != robot.tables.base:
+        raise ConfigurationError(f"{file}: expected one free joint, that of the body {robot.tables.base!r}")
+    actuated = {joint.name: joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
+    if odd := set(actuated) ^ set(robot.joints):
+        raise ConfigurationError(f"{file}: joints: expected those of robot.yaml; in one of both only: {sorted(odd)}")
+    for name, table in robot.tables.joints.items():
+        joint = actuated[name]
+        joint.armature = table.armature
+        joint.damping[0] = table.damping
+        if table.lower is not None:
+            joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            joint.range = (table.lower, table.upper)
+    for geom in list(spec.geoms):
+        if shapes == "none" or (shapes == "collision" and not (geom.contype or geom.conaffinity)):
+            spec.delete(geom)
+    _check_names(robot, spec)
+    spec.option.timestep = robot.tables.physics_step
+    return spec
+
+
+def controller_model(robot: RobotDescription) -> Model:
+    """What the Whole-Body Controller computes with: nominal, with the joints outside its groups welded.
+
+    Only what is kept apart (``self_collision``) has shapes.
+    """
+    spec = robot_spec(robot, "collision")
+    apart = {body for pair in robot.tables.self_collision.pairs for body in pair}
+    if missing := apart - {body.name for body in spec.bodies}:
+        raise ConfigurationError(
+            f"{robot.model_file}: no body {sorted(missing)[0]!r}, which robot.yaml names in self_collision.pairs"
+        )
+    for geom in list(spec.geoms):
+        if geom.parent.name not in apart:
+            spec.delete(geom)
+    moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.groups[group]}
+    for joint in list(spec.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:
+            _weld(spec, joint, robot.tables.nominal_posture.get(joint.name, 0.0))
+    return Model(robot, spec.compile())
+
+
+def full_model(robot: RobotDescription, shapes: Shapes = "none") -> Model:
+    """The nominal model with every joint, for kinematics, tf and pictures."""
+    return Model(robot, robot_spec(robot, shapes).compile())
+
+
+def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
+    """Take a hinge away, leaving its body turned by ``angle`` [rad] about it."""
+    body = joint.parent
+    turn, orientation = np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, joint.axis / np.linalg.norm(joint.axis), angle)
+    mujoco.mju_mulQuat(orientation, body.quat, turn)
+    # The hinge's anchor stays where it is: p + R·a = p' + R·Rot(angle)·a.
+    before, after = np.zeros(3), np.zeros(3)
+    mujoco.mju_rotVecQuat(before, joint.pos, body.quat)
+    mujoco.mju_rotVecQuat(after, joint.pos, orientation)
+    body.pos = body.pos + before - after
+    body.quat = orientation
+    spec.delete(joint)
+
+
+def _check_names(robot: RobotDescription, spec: mujoco.MjSpec) -> None:
+    """Every body and site that robot.yaml names is in the model."""
+    tables = robot.tables
+    bodies, sites = {body.name for body in spec.bodies}, {site.name for site in spec.sites}
+    for key, name in (
+        ("base", tables.base),
+        ("chest", tables.chest),
+        ("head", tables.head),
+        ("feet.left.body", tables.feet.left.body),
+        ("feet.right.body", tables.feet.right.body),
+        ("hands.left.body", tables.hands.left.body),
+        ("hands.right.body", tables.hands.right.body),
+    ):
+        if name not in bodies:
+            raise ConfigurationError(f"{robot.model_file}: no body {name!r}, which robot.yaml names as {key}")
+    for key, name in (
+        ("imu.site", tables.imu.site),
+        ("feet.left.sole", tables.feet.left.sole),
+        ("feet.right.sole", tables.feet.right.sole),
+        ("hands.left.site", tables.hands.left.site),
+        ("hands.right.site", tables.hands.right.site),
+    ):
+        if name not in sites:
+            raise ConfigurationError(f"{robot.model_file}: no site {name!r}, which robot.yaml names as {key}")
+    for frame, name in tables.link_frames.items():
+        if name not in bodies | sites:
+            raise ConfigurationError(
+                f"{robot.model_file}: no body or site {name!r}, which robot.yaml names as link_frames.{frame}"
+            )
+
+
+def _indices(places: Iterable[int]) -> Indices:
+    indices = np.fromiter(places, dtype=np.intp)
+    if indices.size and np.array_equal(indices, np.arange(indices[0], indices[0] + indices.size)):
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices

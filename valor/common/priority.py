@@ -1,0 +1,102 @@
+"""How control goes before other work: by nice values on hardware, in real time where a loop must not wait, by cores.
+
+In a simulation a control loop is quicker by a tenth where less of others' work comes and goes in its core's caches.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from valor.common.processes import Cores
+
+_AUTOGROUP = Path("/proc/self/autogroup")
+
+
+def take_priority(niceness: int) -> None:
+    """Go before other processes, where that is granted: a robot does not wait until somebody's compiler is done."""
+    if niceness >= 0:
+        return
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+    # Linux shares the processor among sessions first, and only within one by nice values (sched(7), autogroup).
+    with contextlib.suppress(OSError, ValueError):
+        if int(_AUTOGROUP.read_text().split()[-1]) > niceness:
+            _AUTOGROUP.write_text(str(niceness))
+
+
+def own_core() -> int | None:
+    """Of the cores that this process may use, the one that a control loop has to itself; None: there is one only."""
+    cores = os.sched_getaffinity(0)
+    return max(cores) if len(cores) > 1 else None
+
+
+def take_cores(cores: Cores) -> int | None:
+    """Stay on the core that a control loop has to itself, or off it, with all threads that are started from now on.
+
+    Args:
+        cores: which of the two, or any.
+
+    Returns:
+        The loop's core; None: nobody has one, for there is one only or the system does not grant it.
+    """
+    core = own_core()
+    if core is None:
+        return None
+    if cores != "any":
+        mine = {core} if cores == "own" else os.sched_getaffinity(0) - {core}
+        try:
+            os.sched_setaffinity(0, mine)
+        except OSError:
+            return None
+    return core
+
+
+def take_real_time(priority: int) -> bool:
+    """Let the loop of the calling thread wait for nothing but itself, where that is granted (SCHED_FIFO).
+
+    The other threads of the process come one below: what the loop sends wakes the thread that encrypts it, which
+    otherwise takes the loop's own core away as often as not. A loop that never rests is kept from taking a core for
+    good by the kernel (sched_rt_runtime_us).
+
+    Args:
+        priority: of the calling thread, 2 to 99; 0: stay as it is.
+
+    Returns:
+        Whether it was granted: to root, and to users with a real-time limit (``ulimit -r``) of that priority.
+    """
+    if priority <= 0:
+        return False
+    own = threading.get_native_id()
+    try:
+        os.sched_setscheduler(own, os.SCHED_FIFO, os.sched_param(priority))
+        for thread in map(int, os.listdir("/proc/self/task")):
+            if thread != own:
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority - 1))
+    except PermissionError:
+        return False
+    return True
+
+
+def granted(real_time: int, niceness: int) -> tuple[bool, bool]:
+    """Whether a process of this user would get a real-time priority, and a nice value: tried in a thread that ends."""
+    attempts: tuple[Callable[[], None], ...] = (
+        lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(real_time)),
+        lambda: os.setpriority(os.PRIO_PROCESS, 0, niceness),  # Linux: of the calling thread
+    )
+    done = [False, False]
+
+    def attempt() -> None:
+        for i, each in enumerate(attempts):
+            with contextlib.suppress(PermissionError):
+                each()
+                done[i] = True
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return done[0], done[1]

@@ -1,0 +1,108 @@
+"""``metadata.yaml``: what rosbag2 wants to know of the MCAP files in a folder before it opens the folder as one bag.
+
+A recording that stands in a folder of its own name has it (version 9, that of ROS 2 Jazzy); it is made of the files'
+own indices, so that it can be written anew at any time.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from valor.common.bag_index import BagError, BagIndex, read_index
+
+FILE = "metadata.yaml"
+SUFFIX = ".mcap"
+VERSION, DISTRIBUTION = 9, "jazzy"
+
+
+def is_own_folder(bag: Path) -> bool:
+    """Whether a bag stands in a folder of its own name: ``walk/walk.mcap``, ``walk/walk_1.mcap``."""
+    folder = bag.parent.name
+    return bag.stem == folder or bag.stem.startswith(f"{folder}_")
+
+
+def write(folder: Path) -> Path | None:
+    """Describe the finished bags of a folder that have its name; returns the file, or None if there is none.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    own = (file for file in folder.glob(f"*{SUFFIX}") if is_own_folder(file))
+    found = [(file, index) for file in own if (index := _index(file)) is not None]
+    if not found:
+        return None
+    found.sort(key=lambda each: (each[1].statistics.message_start_time, each[0].name))
+    beside = folder / f"{FILE}.new"
+    with open(beside, "w") as out:
+        yaml.dump({"rosbag2_bagfile_information": _information(found)}, out, _Plain, sort_keys=False)
+    target = folder / FILE
+    os.replace(beside, target)
+    return target
+
+
+class _Plain(yaml.SafeDumper):
+    """Without anchors: equal parts are written out."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
+def _index(file: Path) -> BagIndex | None:
+    """A bag's index; None: it has none, because it is not finished."""
+    try:
+        return read_index(file)
+    except (BagError, OSError):
+        return None
+
+
+def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
+    topics: dict[tuple[str, str], dict[str, Any]] = {}
+    for _, index in found:
+        counts = index.statistics.channel_message_counts
+        for channel in index.summary.channels.values():
+            schema = index.summary.schemas.get(channel.schema_id)
+            type_name = schema.name if schema else ""
+            topic = topics.setdefault(
+                (channel.topic, type_name),
+                {
+                    "topic_metadata": {
+                        "name": channel.topic,
+                        "type": type_name,
+                        "serialization_format": channel.message_encoding,
+                        "offered_qos_profiles": yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [],
+                        "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+                    },
+                    "message_count": 0,
+                },
+            )
+            topic["message_count"] += counts.get(channel.id, 0)
+    files = [
+        {
+            "path": file.name,
+            "starting_time": {"nanoseconds_since_epoch": index.statistics.message_start_time},
+            "duration": {"nanoseconds": index.statistics.message_end_time - index.statistics.message_start_time},
+            "message_count": index.statistics.message_count,
+        }
+        for file, index in found
+    ]
+    held = [index.statistics for _, index in found if index.statistics.message_count]
+    start = min((each.message_start_time for each in held), default=0)
+    end = max((each.message_end_time for each in held), default=0)
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(each.message_count for each in held),
+        "topics_with_message_count": [topics[key] for key in sorted(topics)],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.name for file, _ in found],
+        "files": files,
+        "custom_data": None,
+        "ros_distro": DISTRIBUTION,
+    }

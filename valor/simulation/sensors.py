@@ -1,0 +1,137 @@
+"""What the simulated devices report of the plant: encoders, IMU, force-torque sensors, with noise from one seed."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor.common.errors import ConfigurationError
+from valor.common.messages import Proprioceptor
+from valor.common.robot import RobotDescription, SensorNoise
+from valor.simulation.plant import Plant
+
+FloatVector = npt.NDArray[np.float64]
+BATTERY_VOLTAGE = 48.0  # the simulated battery does not drain [V]
+
+
+class Sensors:
+    """All sensors; ``measure`` reads each once.
+
+    Positions and velocities are those of the instant; accelerations and forces those of the physics step that led to
+    it. True values and noise stand in one vector each, so that one addition makes the measurement::
+
+        joint position | velocity | effort | gyroscope | accelerometer | 4 wrenches | attitude error
+              n             n         n          3             3             24             3
+    """
+
+    def __init__(self, robot: RobotDescription, plant: Plant, noise: SensorNoise, seed: int) -> None:
+        self._plant = plant
+        model, mj, data = plant.model, plant.model.mj, plant.data
+        tables = robot.tables
+        self._n = n = len(robot.joints)
+        self._imu = model.site(tables.imu.site)
+        if mj.site_bodyid[self._imu] != model.body(tables.base):
+            raise ConfigurationError(f"{robot.model_file}: site {tables.imu.site!r}: expected on {tables.base!r}")
+        self._imu_in_base = mj.site_quat[self._imu].copy()
+        self._base_orientation, self._base_rate = data.qpos[3:7], data.qvel[3:6]
+        self._acceleration = np.zeros(6)
+        self._wrenches = WrenchSensors(
+            plant,
+            [
+                (tables.feet.left.body, tables.feet.left.sole),
+                (tables.feet.right.body, tables.feet.right.sole),
+                (tables.hands.left.body, tables.hands.left.site),
+                (tables.hands.right.body, tables.hands.right.site),
+            ],
+        )
+        self._rng = np.random.default_rng([seed, 1])
+        self._resolution = noise.joint_position_resolution
+        deviation = [noise.joint_position] * n + [noise.joint_velocity] * n + [noise.joint_effort] * n
+        deviation += [noise.gyroscope] * 3 + [noise.accelerometer] * 3
+        deviation += ([noise.force] * 3 + [noise.torque] * 3) * 4 + [noise.orientation] * 3
+        self._deviation = np.array(deviation)
+        self._noise, self._truth = np.zeros(self._deviation.size), np.zeros(self._deviation.size)
+        self._truth[-3:-1] = self._rng.standard_normal(2) * noise.orientation_bias  # roll and pitch
+
+    def measure(self, sequence: int, time: int) -> Proprioceptor:
+        """The Proprioceptor of that sequence at that robot time [ns]."""
+        plant, n, truth = self._plant, self._n, self._truth
+        model, data = plant.model, plant.data
+        mujoco.mj_rnePostConstraint(model.mj, data)
+        mujoco.mj_objectAcceleration(model.mj, data, mujoco.mjtObj.mjOBJ_SITE, self._imu, self._acceleration, 1)
+        k = 3 * n
+        truth[:n] = data.qpos[model.qpos]
+        truth[n : 2 * n] = data.qvel[model.dof]
+        truth[2 * n : k] = plant.actuators.effort
+        mujoco.mju_rotVecQuat(truth[k : k + 3], self._base_rate, self._imu_in_base * _CONJUGATE)
+        truth[k + 3 : k + 6] = self._acceleration[3:]
+        truth[k + 6 : k + 30] = self._wrenches.measure().ravel()
+        self._rng.standard_normal(out=self._noise)
+        values = self._noise * self._deviation
+        values += truth
+        position = values[:n]
+        if self._resolution:
+            position /= self._resolution
+            np.rint(position, out=position)
+            position *= self._resolution
+        return Proprioceptor(
+            time=time,
+            sequence=sequence,
+            motor_sequence=plant.actuators.motor_sequence,
+            joint_position=position,
+            joint_velocity=values[n : 2 * n],
+            joint_effort=values[2 * n : k],
+            imu_orientation=self._orientation(values[-3:]),
+            imu_angular_velocity=values[k : k + 3],
+            imu_linear_acceleration=values[k + 3 : k + 6],
+            left_foot_wrench=values[k + 6 : k + 12],
+            right_foot_wrench=values[k + 12 : k + 18],
+            left_hand_wrench=values[k + 18 : k + 24],
+            right_hand_wrench=values[k + 24 : k + 30],
+            battery_voltage=BATTERY_VOLTAGE,
+        )
+
+    def _orientation(self, error: FloatVector) -> FloatVector:
+        """(4,) the IMU's attitude in world, turned by a small rotation vector (3,) in the IMU's frame [rad]."""
+        orientation = np.empty(4)
+        mujoco.mju_mulQuat(orientation, self._base_orientation, self._imu_in_base)
+        mujoco.mju_quatIntegrate(orientation, error, 1.0)
+        return orientation
+
+
+class WrenchSensors:
+    """Force-torque sensors that report what the world does to a body and all that hangs on it, in a site's frame.
+
+    Real ones sit between the link and the rest and feel its weight too; their drivers take it out again.
+    """
+
+    def __init__(self, plant: Plant, places: list[tuple[str, str]]) -> None:
+        """``places``: body and site of each sensor, m of them."""
+        mj, data = plant.model.mj, plant.data
+        self._forces = data.cfrc_ext  # (nbody, 6) torque and force in world axes, about the robot's CoM
+        self._sum = np.zeros((len(places), mj.nbody))  # which bodies each sensor carries
+        self._sites = []
+        for row, (body, site) in enumerate(places):
+            top, place = plant.model.body(body), plant.model.site(site)
+            self._sum[row] = [_carries(mj, top, b) for b in range(mj.nbody)]
+            self._sites.append((data.site_xpos[place], data.site_xmat[place]))
+        self._com = data.subtree_com[plant.model.body(plant.model.robot.tables.base)]
+        self._in_site = np.zeros((len(places), 6))
+
+    def measure(self) -> FloatVector:
+        """(m, 6) force [N] and torque [N·m] at the sites, in their axes; after ``mj_rnePostConstraint``."""
+        about_com = self._sum @ self._forces
+        for (position, axes), wrench, in_site in zip(self._sites, about_com, self._in_site, strict=True):
+            mujoco.mju_transformSpatial(in_site, wrench, 1, position, self._com, axes)
+        return self._in_site[:, _FORCE_FIRST]
+
+
+_FORCE_FIRST = np.array([3, 4, 5, 0, 1, 2])
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def _carries(mj: mujoco.MjModel, top: int, body: int) -> bool:
+    while body > top:
+        body = mj.body_parentid[body]
+    return bool(body == top)

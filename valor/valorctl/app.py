@@ -1,0 +1,78 @@
+"""The command line as a whole: its verbs, and the option that all of them share."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from valor.valorctl.verbs import bags, demonstration, diagnosis, experiments, lifecycle, motion, observation, step
+
+# Verbs of Bifrost itself; loaded when used.
+_MOUNTED = ("topic", "service")
+
+
+def hoist_instance(arguments: list[str]) -> list[str]:
+    """Move ``--instance NAME`` to the front, wherever it stands before ``--``: every verb accepts it."""
+    hoisted: list[str] = []
+    rest: list[str] = []
+    waiting = list(arguments)
+    while waiting:
+        argument = waiting.pop(0)
+        if argument == "--":
+            rest += [argument, *waiting]
+            break
+        if argument == "--instance":
+            hoisted += [argument, *waiting[:1]]
+            del waiting[:1]
+        elif argument.startswith("--instance="):
+            hoisted.append(argument)
+        else:
+            rest.append(argument)
+    return hoisted + rest
+
+
+class _Verbs(TyperGroup):
+    """Verbs that are loaded late, and a shared option that may stand anywhere."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, hoist_instance(args))
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [*super().list_commands(ctx), *_MOUNTED]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name in _MOUNTED:
+            from valor.valorctl.verbs.bifrost_verbs import command
+
+            # Asked for before the shared option's own callback runs.
+            return command(cmd_name, ctx.params.get("instance"))
+        return super().get_command(ctx, cmd_name)
+
+
+app = typer.Typer(
+    name="valorctl",
+    cls=_Verbs,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
+)
+for _group in (lifecycle, observation, motion, step, bags, demonstration, experiments, diagnosis):
+    _group.register(app)
+
+
+@app.callback()
+def _shared(
+    instance: Annotated[
+        str | None,
+        typer.Option(
+            envvar="VALOR_INSTANCE", help="Which of the systems on this computer; `default` unless told otherwise."
+        ),
+    ] = None,
+) -> None:
+    if instance is not None:
+        os.environ["VALOR_INSTANCE"] = instance

@@ -1,0 +1,94 @@
+"""The control mode: what it is, and how it is changed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import bifrost
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import ControlModeReport, ModeStatus
+from valor.common.topics import CONTROL_MODE
+
+ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
+CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
+_REPORT_TIMEOUT = 2.0  # reports come ten times a second [s]
+
+
+def flag_names(status: int) -> list[str]:
+    """The flags set in a status, by name; bits that have none as hexadecimal."""
+    names = [flag.name for flag in ModeStatus if status & flag and flag.name]
+    if rest := status & ~sum(ModeStatus):
+        names.append(f"0x{rest:x}")
+    return names
+
+
+@dataclass(frozen=True)
+class ModeChange:
+    """What became of a request."""
+
+    requested: str
+    current: str
+    status: int
+    latency: float  # from the goal sent to its result [s]
+    reason: str  # why it was refused; empty: not known
+
+    @property
+    def reached(self) -> bool:
+        """Whether the mode asked for is the current one now; also when it had been before."""
+        refused = self.status & (ModeStatus.MODE_REJECTED | ModeStatus.MODE_PREEMPTED)
+        return self.current == self.requested and not refused
+
+    def describe(self) -> str:
+        """One line."""
+        flags = ", ".join(flag_names(self.status)) or "no flags"
+        if self.reached:
+            word = (
+                "control mode was already" if self.status & ModeStatus.MODE_DUPLICATE else "accepted: control mode is"
+            )
+            return f"{word} {self.current} ({flags}; {self.latency * 1e3:.0f} ms)"
+        because = f": {self.reason}" if self.reason else ""
+        return f"control mode {self.requested} refused ({flags}){because}; it is {self.current or 'none'}"
+
+
+def report(instance: Instance) -> ControlModeReport:
+    """The VRC's newest report.
+
+    Raises:
+        ValorError: it is silent.
+    """
+    network = bifrost.Network.load(instance.network_file, instance.keys)
+    with bifrost.Node("valorctl", network=network) as node:
+        received = node.subscriber(CONTROL_MODE.name, ControlModeReport).receive(timeout=_REPORT_TIMEOUT)
+    if received is None:
+        raise ValorError(f"valor_ros_controller is silent: no {CONTROL_MODE.name} within {_REPORT_TIMEOUT:g} s")
+    return received.message
+
+
+def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> ModeChange:
+    """Ask the VRC for a control mode, as any ROS client would.
+
+    Args:
+        instance: must be up.
+        mode: by name.
+        check: called while waiting; may raise to give up.
+
+    Raises:
+        ValorError: no answer, or no result in time.
+    """
+    from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+    from valor.valorctl.ros_client import RosClient
+
+    with RosClient(instance, check) as ros:
+        began = time.monotonic()
+        result = ros.call_action(ChangeControlMode, ACTION, ChangeControlMode.Goal(mode_request=mode), CHANGE_TIMEOUT)
+        latency = time.monotonic() - began
+        status = result.result
+        made = ModeChange(mode, status.current_control_mode, status.status, latency, "")
+        if made.reached:
+            return made
+        refused, _, reason = ros.diagnosis("last control mode refused").partition(": ")
+    return replace(made, reason=reason if refused == mode else "")

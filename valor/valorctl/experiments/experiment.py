@@ -1,0 +1,148 @@
+"""What every experiment is given, and how it leaves its result."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
+from valor.common.errors import ValorError
+from valor.common.instance import Instance, Recording, Settings
+from valor.valorctl import demonstration
+from valor.valorctl.console import Progress
+from valor.valorctl.instance_setup import Request
+from valor.valorctl.interruption import Interruption
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line said."""
+
+    out: Path  # the experiment's own folder
+    quick: bool = False
+    seed: int = 0
+    actuators: str = "hardware"
+    robot: str = "escher"
+
+
+@dataclass
+class Run:
+    """One run: what it may use, and what it has found so far."""
+
+    instance: Instance
+    options: Options
+    progress: Progress
+    interruption: Interruption
+    settings: dict[str, str] = field(default_factory=dict)
+    text: str = ""
+    measures: list[Measure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    pictures: list[Picture] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)
+
+    @property
+    def out(self) -> Path:
+        """The folder for what it leaves."""
+        return self.options.out
+
+    @contextmanager
+    def system(
+        self,
+        *,
+        profile: str = "sim",
+        bag: Path | None = None,
+        robot: Path | None = None,
+        actuators: str | None = None,
+        recording: Recording | None = None,
+    ) -> Iterator[Settings]:
+        """A system of the experiment's own that is up inside and down behind, whatever happens.
+
+        Args:
+            profile: which processes it has.
+            bag: where its recorder writes.
+            robot: its folder; the profile's robot unless given.
+            actuators: a profile of imperfections; that of the command line unless given.
+            recording: what the recorder keeps; everything unless given.
+        """
+        if bag is not None:
+            bag.unlink(missing_ok=True)  # an earlier run's: the recorder would take another name
+        request = Request(
+            profile=profile, robot=str(robot or self.options.robot), actuators=actuators or self.options.actuators,
+            seed=self.options.seed, bag=bag, recording=recording or Recording(),
+        )  # fmt: skip
+        with demonstration.running(self.instance, request, self.progress, self.interruption) as settings:
+            self._note({
+                "robot": settings.robot.name, "profile": settings.profile, "clock": settings.clock,
+                "actuators": settings.actuators, "world": settings.world, "seed": str(settings.seed),
+            })  # fmt: skip
+            yield settings
+
+    def _note(self, settings: dict[str, str]) -> None:
+        """Keep what a system had; of several systems all that differ."""
+        for key, value in settings.items():
+            known = self.settings.setdefault(key, value)
+            if value not in known.split(", "):
+                self.settings[key] = f"{known}, {value}"
+
+    def picture(self, files: list[Path], caption: str, reproduces: str = "") -> None:
+        """Add figures to the result."""
+        self.pictures += [Picture(str(file.relative_to(self.out)), caption, reproduces) for file in files]
+        self.interruption.check()
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One line of the table."""
+
+    name: str
+    title: str
+    reproduces: str
+    run: Callable[[Run], None]
+
+    def perform(
+        self, instance: Instance, options: Options, progress: Progress, interruption: Interruption
+    ) -> tuple[Result, Path]:
+        """Run it.
+
+        Returns:
+            Its result, and the file that it was written to.
+
+        Raises:
+            ValorError: it failed; says where. Nothing goes on running behind it.
+        """
+        try:
+            options.out.mkdir(parents=True, exist_ok=True)
+            # Figures and bags of an earlier run are written over from now on: its result would be of no run at all.
+            for stale in (FILE, FAILURE_FILE):
+                (options.out / stale).unlink(missing_ok=True)
+        except OSError as error:
+            raise ValorError(f"{error.filename}: {error.strerror}") from None
+        host = host_facts()
+        started = datetime.now().astimezone().isoformat(timespec="seconds")
+        began = time.monotonic()
+        run = Run(instance, options, progress, interruption)
+        words = [f"valorctl experiment {self.name}", *(["--quick"] if options.quick else []), f"--seed {options.seed}",
+                 f"--actuators {options.actuators}", f"--robot {options.robot}"]  # fmt: skip
+        command = " ".join(words)
+        try:
+            self.run(run)
+        except Exception as error:
+            known = isinstance(error, ValorError)
+            reason = str(error) if known else f"{type(error).__name__}: {error}"
+            details = "" if known else traceback.format_exc()
+            Failure(experiment=self.name, command=command, started=started, reason=reason, details=details).save(
+                options.out
+            )
+            raise
+        result = Result(
+            experiment=self.name, title=self.title, reproduces=self.reproduces, command=command, started=started,
+            quick=options.quick, settings=run.settings, host=host, text=run.text, measures=run.measures,
+            tables=run.tables, pictures=run.pictures, files=[str(file.relative_to(run.out)) for file in run.files],
+            seconds=round(time.monotonic() - began, 1),
+        )  # fmt: skip
+        return result, result.save(options.out)

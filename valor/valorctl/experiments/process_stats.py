@@ -1,0 +1,105 @@
+"""Table 5.1: how much of a core and of memory every process takes while the robot stands."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+import bifrost
+from valor.analysis.process_statistics import Sampler, Usage, plot, write_csv
+from valor.analysis.results import Measure, Table
+from valor.common.errors import ValorError
+from valor.common.messages import ControlModeReport
+from valor.common.topics import BAG_RECORDER_STATISTICS, CONTROL_MODE, PROPRIOCEPTOR, Topic
+from valor.valorctl.console import bar
+from valor.valorctl.experiments.experiment import Run
+from valor.valorctl.supervision import Supervisor
+
+SECONDS, QUICK = 300.0, 3.0
+PERIOD = 0.5  # between two looks [s]
+PATIENCE = 10.0  # with a process that should speak [s]
+_VRC = "valor_ros_controller"
+
+
+def run(run: Run) -> None:
+    """Stand for five minutes, and look at every process twice a second."""
+    seconds = QUICK if run.options.quick else SECONDS
+    bag = run.out / "process_stats.mcap"
+    behaviors: list[tuple[float, str]] = []
+    with run.system(bag=bag), bifrost.Node("experiment", network=_network(run)) as node:
+        reports = node.subscriber(CONTROL_MODE.name, ControlModeReport, queue=1000)
+        sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
+        began, robot_time = time.monotonic(), _robot_time(run)
+        with bar("standing", seconds, "s") as shown:
+            while (elapsed := time.monotonic() - began) < seconds:
+                time.sleep(max(0.0, PERIOD - elapsed % PERIOD))
+                sampler.look()
+                behaviors += [(1e-9 * each.stamp - sampler.began, each.message.behavior) for each in reports.drain()]
+                shown(elapsed)
+                run.interruption.check()
+        pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
+        dropped = _hear(run, BAG_RECORDER_STATISTICS).drops
+    usage = sampler.usage()
+    run.text = (
+        f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
+        f"system running and the recorder recording all. Each process is looked at every {PERIOD:g} s. Percentages "
+        "are of one core, as top counts."
+    )
+    run.tables.append(
+        Table(
+            "Processor [% of one core] and memory [MiB]",
+            ["process", "mean", "sd", "max", "min", "memory mean", "memory max"],
+            [_row(name, one) for name, one in usage.items()],
+        )
+    )
+    vrc = usage[_VRC]
+    run.measures += [
+        Measure("VRC processor, mean", float(vrc.cpu.mean()), "% of one core", "36 simulation, 53 hardware",
+                "the same conversions; C++ with a thread a task, 12 and 8 cores there; one Python loop here"),
+        Measure("VRC processor, sd", float(vrc.cpu.std()), "% of one core", "8 simulation, 10 hardware",
+                "of looks half a second apart; the thesis does not say how far apart its own were"),
+        Measure("VRC processor, max", float(vrc.cpu.max()), "% of one core", "100 simulation, 113 hardware",
+                "tasks' threads add up there; here only the sockets' work beside the loop"),
+        Measure("VRC processor, min", float(vrc.cpu.min()), "% of one core", "13 simulation, 15 hardware",
+                "states come at their full rate while the robot stands, in both"),
+        Measure("VRC memory, mean", float(vrc.memory.mean()), "MiB", "98.3 hardware",
+                "the same size, of other things: here the interpreter, NumPy and rclpy"),
+        Measure("Motion System processor, mean",
+                float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
+                "over 150", "a core and a half there; the Comms Manager's part simulates the robot here, and spoke to "
+                "devices there"),
+        Measure("robot time against the wall's", pace, "", "", "below 1 on a computer too busy for the simulation: "
+                "percentages are as much lower"),
+        Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",
+                "every message of every topic, at the control rate"),
+        Measure("recorder, messages dropped", float(dropped), "", "", "of all topics, since it began"),
+        Measure("whole system, mean", float(np.sum([one.cpu.mean() for one in usage.values()])), "% of one core"),
+    ]  # fmt: skip
+    run.files += [bag, write_csv(usage, run.out / "process_stats.csv")]
+    behavior = (np.array([at for at, _ in behaviors]), np.array([name for _, name in behaviors]))
+    run.picture([plot(usage, behavior, run.out / "process_stats.png")],
+                "Processor and memory of every process over time; below, what the Motion System did.")  # fmt: skip
+
+
+def _hear(run: Run, topic: Topic) -> Any:
+    """The next message of a topic."""
+    with bifrost.Node("experiment", network=_network(run)) as node:
+        received = node.subscriber(topic.name, topic.type).receive(timeout=PATIENCE)
+    if received is None:
+        raise ValorError(f"{topic.publisher} is silent: no {topic.name} within {PATIENCE:g} s")
+    return received.message
+
+
+def _network(run: Run) -> bifrost.Network:
+    return bifrost.Network.load(run.instance.network_file, run.instance.keys)
+
+
+def _robot_time(run: Run) -> float:
+    return 1e-9 * float(_hear(run, PROPRIOCEPTOR).time)
+
+
+def _row(name: str, one: Usage) -> list[str]:
+    cpu = (one.cpu.mean(), one.cpu.std(), one.cpu.max(), one.cpu.min())
+    return [name, *(f"{value:.1f}" for value in (*cpu, one.memory.mean(), one.memory.max()))]

@@ -1,0 +1,60 @@
+"""Having the robot get up from the floor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import bifrost
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import REQUESTED_BY, BehaviorReply, BehaviorRequest, MotionState
+from valor.common.topics import BEHAVIOR, MOTION_STATE
+
+GET_UP, UP = "get_up", "stand_prep"
+GETTING_UP = "getting up"  # shown until the robot says which pose it makes
+LONGEST = 120.0  # of wall time [s]
+_SILENT = 2.0  # [s]
+
+
+def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str], None]) -> float:
+    """Ask for Get Up and wait for what becomes of it.
+
+    Args:
+        instance: must be up.
+        check: called while waiting; may raise to stop waiting. The robot goes on.
+        shown: is told what the robot does.
+
+    Returns:
+        How long it took [robot time, s].
+
+    Raises:
+        ValorError: refused, given up, or the Motion Manager is silent.
+    """
+    network = bifrost.Network.load(instance.network_file, instance.keys)
+    with bifrost.Node("valorctl", network=network) as node:
+        states = node.subscriber(MOTION_STATE.name, MotionState)
+        try:
+            reply = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply).call(
+                BehaviorRequest(GET_UP), timeout=_SILENT
+            )
+        except bifrost.Error as error:
+            raise ValorError(f"the Motion Manager does not answer: {error}") from None
+        if not reply.accepted:
+            raise ValorError(f"get_up refused: {reply.reason}")
+        began: int | None = None
+        deadline = time.monotonic() + LONGEST
+        while time.monotonic() < deadline:
+            check()
+            received = states.receive(timeout=_SILENT)
+            if received is None:
+                raise ValorError(f"the Motion Manager is silent: no {MOTION_STATE.name} within {_SILENT:g} s")
+            state = received.message
+            if state.behavior == GET_UP:
+                began = state.time if began is None else began
+                shown(GETTING_UP if state.reason.startswith(REQUESTED_BY) else state.reason)
+            elif began is not None:
+                if state.behavior != UP:
+                    raise ValorError(f"not up: {state.behavior}: {state.reason}")
+                return 1e-9 * (state.time - began)
+    raise ValorError(f"still getting up after {LONGEST:g} s")

@@ -1,0 +1,151 @@
+"""What an instance gets before anything runs: its folder, a Bifrost network, its settings."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+import bifrost
+from valor.common import worlds
+from valor.common.errors import ConfigurationError, ValorError
+from valor.common.instance import ClockMode, Instance, Recording, Settings
+from valor.common.resources import profile_file, robot_folder
+from valor.common.robot import RobotDescription
+from valor.valorctl.profile import Profile
+
+
+@dataclass(frozen=True)
+class Request:
+    """What ``valorctl up`` was asked for; None: as the profile has it."""
+
+    profile: str = "sim"
+    robot: str | None = None
+    clock: ClockMode | None = None
+    actuators: str | None = None
+    seed: int | None = None
+    world: str | None = None
+    real_time_factor: float | None = None
+    bag: Path | None = None
+    recording: Recording = field(default_factory=Recording)
+    initial_mode: str | None = None  # empty: leave the robot as it starts
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A request with the profile filled in, checked against the robot."""
+
+    profile: Profile
+    settings: Settings  # but for the ROS domain, which is chosen when the instance is made
+    initial_mode: str | None
+
+
+def plan(request: Request) -> Plan:
+    """Fill in the profile's defaults and check everything that can be checked before anything is written.
+
+    Raises:
+        ConfigurationError: names the file or option and what was expected.
+    """
+    profile = Profile.load(profile_file(request.profile))
+    defaults = profile.defaults
+    robot = RobotDescription.load(robot_folder(request.robot or defaults.robot))
+    settings = Settings(
+        profile=request.profile,
+        variant=profile.variant,
+        robot=robot.folder,
+        control_rate=profile.control_rate,
+        ports=profile.ports,
+        clock=request.clock or defaults.clock,
+        actuators=request.actuators or defaults.actuators,
+        seed=defaults.seed if request.seed is None else request.seed,
+        world=request.world or defaults.world,
+        real_time_factor=(defaults.real_time_factor if request.real_time_factor is None else request.real_time_factor),
+        ros_domain_id=0,
+        bag=_bag(request.bag),
+        recording=request.recording,
+    )
+    _expect("--actuators", settings.actuators, tuple(robot.tables.actuators))
+    worlds.check(settings.world, "--world")
+    if profile.variant == "hardware" and not robot.tables.devices:
+        raise ConfigurationError(
+            f"{robot.folder / 'robot.yaml'}: devices: none; expected those of the robot (profile {request.profile})"
+        )
+    initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
+    return Plan(profile.suiting(robot), settings, initial_mode or None)
+
+
+def _bag(file: Path | None) -> Path | None:
+    if file is None:
+        return None
+    file = file.expanduser().absolute()
+    if file.is_dir():
+        raise ConfigurationError(f"--bag {file}: is a folder; expected a file name")
+    return file
+
+
+def _expect(option: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ConfigurationError(f"{option} {value!r}: expected one of {', '.join(known)}")
+
+
+def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
+    """Make the folder, and write network, keys and settings.
+
+    Raises:
+        ConfigurationError: the folder cannot be written.
+    """
+    try:
+        instance.folder.mkdir(parents=True, exist_ok=True)
+        instance.logs.mkdir(exist_ok=True)
+        instance.bags.mkdir(exist_ok=True)
+        if wanted.bag is not None:
+            wanted.bag.parent.mkdir(parents=True, exist_ok=True)
+        _rotate_logs(instance)
+        bifrost.Network.create(instance.network_file, instance.keys)
+        settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
+        _write(instance.settings_file, settings.json())
+    except OSError as error:
+        raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None
+    return settings
+
+
+def _write(file: Path, text: str) -> None:
+    temporary = file.with_name(f".{file.name}.{os.getpid()}")
+    temporary.write_text(text)
+    temporary.replace(file)
+
+
+def _rotate_logs(instance: Instance) -> None:
+    """Begin logs anew; what the last ``up`` left goes to ``.1``."""
+    for log in instance.logs.glob("*.log"):
+        log.replace(log.with_name(log.name + ".1"))
+
+
+@contextlib.contextmanager
+def changing(instance: Instance) -> Iterator[None]:
+    """Hold an instance while it is brought up or down. The kernel lets go of it, however the holder ends.
+
+    Raises:
+        ValorError: another valorctl is at it.
+    """
+    file = instance.folder.parent / f".{instance.name}.lock"
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise ConfigurationError(f"{file}: {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            text = f"instance {instance.name!r} is being brought up or down by another valorctl"
+            raise ValorError(text) from None
+        yield
+    finally:
+        os.close(descriptor)

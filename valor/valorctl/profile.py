@@ -1,0 +1,64 @@
+"""Profiles (``deploy/*.yaml``): which processes run, which mode the robot is brought to, and defaults of ``up``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, field, structs
+
+from valor.common.instance import ClockMode, Variant
+from valor.common.processes import BY_NAME, Process
+from valor.common.robot import RobotDescription
+from valor.common.table import NonNegative, Table, read
+
+
+class Defaults(Table):
+    """What ``valorctl up`` takes where no option says otherwise."""
+
+    robot: str = "escher"  # a name of robots/, or a folder
+    clock: ClockMode = "lockstep"
+    actuators: str = "hardware"  # a profile of the robot's robot.yaml
+    world: str = "flat"
+    seed: Annotated[int, Meta(ge=0)] = 0
+    real_time_factor: NonNegative = 1.0
+
+
+class Profile(Table, kw_only=True):
+    """One file of ``deploy``."""
+
+    description: str
+    variant: Variant = "simulation"  # what the Comms Manager runs on
+    control_rate: Annotated[float, Meta(gt=0, le=1000)] | None = None  # instead of the robot's own [Hz]
+    # Of devices, where they are not the emulators' (valor/common/devices/ports.py).
+    ports: dict[str, str] = field(default_factory=dict)
+    processes: Annotated[tuple[str, ...], Meta(min_length=1)]
+    initial_mode: str | None = None
+    defaults: Defaults = Defaults()
+
+    def __post_init__(self) -> None:
+        for name in self.processes:
+            if name not in BY_NAME:
+                raise ValueError(f"processes: {name!r} is none of {', '.join(BY_NAME)}")
+            for need in BY_NAME[name].needs:
+                if need not in self.processes:
+                    raise ValueError(f"processes: {name} needs {need}")
+
+    @classmethod
+    def load(cls, file: Path) -> Profile:
+        """Read a profile.
+
+        Raises:
+            ConfigurationError: names the file, the key and what was expected.
+        """
+        return read(cls, file)
+
+    def suiting(self, robot: RobotDescription) -> Profile:
+        """The profile without the processes that serve devices which the robot does not have."""
+        kinds = {"", *(device.kind for device in robot.tables.devices.values())}
+        return structs.replace(self, processes=tuple(n for n in self.processes if BY_NAME[n].device in kinds))
+
+    @property
+    def table(self) -> tuple[Process, ...]:
+        """Its rows of the process table, in the table's order."""
+        return tuple(process for name, process in BY_NAME.items() if name in self.processes)

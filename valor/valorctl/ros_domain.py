@@ -1,0 +1,133 @@
+"""The ROS domain of an instance: one that nobody on this computer uses.
+
+Whoever takes a domain holds a socket of that name in Linux' abstract namespace, which has no file: every user sees it,
+whatever their home, and the kernel takes it away when the last process that holds it ends, however it ends. ``valorctl
+up`` takes it and hands it to supervisord. It is per network namespace, as the ports are that a domain stands for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+
+DOMAINS = range(1, 102)
+"""ROS domains whose ports lie below Linux' ephemeral ones; 0 is everybody's."""
+
+
+class Reservation:
+    """A domain that nobody else gets, until this is closed here and wherever it was handed to.
+
+    Attributes:
+        domain: the domain.
+    """
+
+    def __init__(self, domain: int, holder: socket.socket) -> None:
+        self.domain = domain
+        self._holder = holder
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._holder.close()
+
+    def fileno(self) -> int:
+        """The descriptor that holds it; a process that inherits it holds it, too."""
+        return self._holder.fileno()
+
+
+def reserve(instance: Instance) -> Reservation:
+    """Take a domain for an instance.
+
+    Raises:
+        ValorError: all are taken.
+    """
+    holders: dict[int, socket.socket] = {}
+
+    def take(domain: int) -> bool:
+        holder = _hold(domain)
+        if holder is None:
+            return False
+        if not is_free(domain):  # a ROS system that is none of ours
+            holder.close()
+            return False
+        holders[domain] = holder
+        return True
+
+    domain = choose(str(instance.folder), taken(instance.folder.parent, but=instance), take)
+    return Reservation(domain, holders[domain])
+
+
+def choose(key: str, taken: set[int], is_free: Callable[[int], bool]) -> int:
+    """A ROS domain that nobody uses; the search begins at a place that depends on ``key`` alone.
+
+    Raises:
+        ValorError: all are taken.
+    """
+    start = int.from_bytes(hashlib.sha256(key.encode()).digest()[:4], "big") % len(DOMAINS)
+    for offset in range(len(DOMAINS)):
+        domain = DOMAINS[(start + offset) % len(DOMAINS)]
+        if domain not in taken and is_free(domain):
+            return domain
+    raise ValorError(f"no free ROS domain: {DOMAINS[0]} to {DOMAINS[-1]} are all in use on this computer")
+
+
+def discovery_port(domain: int) -> int:
+    """The UDP port that the first participant of a domain listens on (DDSI-RTPS 2.2, 9.6.1.1: 7400 + 250·d + 10)."""
+    return 7410 + 250 * domain
+
+
+def is_free(domain: int) -> bool:
+    """Whether no participant of the domain runs on this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", discovery_port(domain)))
+        except OSError:
+            return False
+    return True
+
+
+def is_reserved(domain: int) -> bool:
+    """Whether an instance of whatever home has the domain."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(_name(domain))
+        except ConnectionRefusedError:  # nobody has that name
+            return False
+    return True
+
+
+def taken(home: Path, but: Instance | None = None) -> set[int]:
+    """The ROS domains of the instances under a home, but of one; also of those whose supervisord was killed."""
+    found = set()
+    for file in home.glob("*/instance.json"):
+        if but is None or file != but.settings_file:
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                found.add(int(json.loads(file.read_text())["ros_domain_id"]))
+    return found
+
+
+def _hold(domain: int) -> socket.socket | None:
+    """The socket that holds a domain; None: another one does."""
+    holder = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        holder.bind(_name(domain))
+    except OSError as error:
+        holder.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        return None
+    return holder
+
+
+def _name(domain: int) -> str:
+    return f"\0valor/ros_domain/{domain}"

@@ -1,0 +1,203 @@
+"""``up``: from nothing to an instance in which every process has said that it is ready, or back to nothing."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance, Settings
+from valor.common.processes import BY_NAME, Process
+from valor.valorctl import instance_setup, leftovers, ros_domain, shutdown, status, supervision, supervisor_config
+from valor.valorctl.console import Progress
+from valor.valorctl.health import Health, Listener, judge
+from valor.valorctl.interruption import Interruption
+from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor
+
+# Without another process getting ready [s]. One that ends is noticed at once; this is for those that hang on a busy
+# computer.
+READY_TIMEOUT = 120.0
+_TAIL_LINES = 12
+PREPARING = "stand_prep"  # the mode that the robot comes up in, until it is in its posture
+PREPARATION_TIMEOUT = 30.0  # [s]
+RETRY_PERIOD = 0.5  # [s]
+
+
+class StartError(ValorError):
+    """A process did not become ready: its name, and the last lines of its log."""
+
+
+def bring_up(instance: Instance, plan: instance_setup.Plan, progress: Progress, interruption: Interruption) -> Settings:
+    """Bring an instance up to its initial mode.
+
+    Returns:
+        The settings it runs with.
+
+    Raises:
+        ValorError: it is up already, or did not come up; then nothing of it is left.
+    """  # fmt: skip
+    with instance_setup.changing(instance):
+        refuse_if_up(instance)
+        if leftovers.processes_of(instance) or leftovers.files_of(instance):
+            shutdown.take_down(instance)
+            progress.done("cleared what an instance that had crashed left behind")
+        try:
+            return _bring_up(instance, plan, progress, interruption)
+        except BaseException as error:
+            progress.clear()
+            try:
+                shutdown.take_down(instance)
+            except ValorError as second:
+                raise ValorError(f"{error}\nand then: {second}") from error
+            raise
+
+
+def refuse_if_up(instance: Instance) -> None:
+    """Raise ``ValorError`` if the instance is up."""
+    if supervisor_config.socket_file(instance).exists() and Supervisor(instance).answers():
+        raise ValorError(
+            f"instance {instance.name!r} is up already; `valorctl down` first, "
+            "or give the new one another name with --instance"
+        )
+
+
+def _bring_up(
+    instance: Instance, plan: instance_setup.Plan, progress: Progress, interruption: Interruption
+) -> Settings:
+    processes = plan.profile.table
+    with ros_domain.reserve(instance) as reservation:  # from then on supervisord holds it
+        settings = instance_setup.make(instance, plan.settings, reservation.domain)
+        interruption.check()
+        environment = supervisor_config.environment(instance, sys.executable, os.environ)
+        supervisor = supervision.launch(instance, processes, environment, reservation.fileno(), interruption.check)
+    with Listener(instance, [process.name for process in processes]) as listener:
+        _start(instance, supervisor, listener, processes, progress=progress, interruption=interruption)
+    if plan.initial_mode is not None:
+        _enter_initial_mode(instance, plan.initial_mode, progress, interruption)
+    return settings
+
+
+def free(processes: Iterable[Process], ready: Collection[str], present: Collection[str]) -> list[Process]:
+    """Those that may start: what they need is ready, and of what they only wait for, what is present at all."""
+    return [
+        process
+        for process in processes
+        if all(name in ready for name in process.needs)
+        and all(name in ready for name in process.after if name in present)
+    ]
+
+
+def _start(
+    instance: Instance,
+    supervisor: Supervisor,
+    listener: Listener,
+    processes: Sequence[Process],
+    *,
+    progress: Progress,
+    interruption: Interruption,
+) -> None:
+    """Start processes, each as soon as it may, and wait until all are ready."""  # fmt: skip
+    began = changed = time.monotonic()
+    names = [process.name for process in processes]
+    ready = set(supervisor.processes()) - set(names)  # those that run already
+    present = ready.union(names)
+    waiting, started = list(names), list[str]()
+    pids: dict[str, int] = {}
+    while waiting:
+        interruption.check()
+        for process in free(processes, ready, present):
+            if process.name not in started:
+                supervisor.start(process.name)
+                started.append(process.name)
+        if not set(waiting).intersection(started):
+            raise ValueError(f"processes wait for each other: {', '.join(waiting)}")
+        listener.listen(0.05)
+        now = time.monotonic()
+        infos = supervisor.processes()
+        health = {name: judge(infos[name], listener.words.get(name), now) for name in started}
+        for name in started:
+            _require_first_run(instance, infos[name], pids)
+        for name in [name for name in waiting if name in started and health[name].state == "ready"]:
+            waiting.remove(name)
+            ready.add(name)
+            changed = now
+            progress.done(f"{name} ready ({now - began:.1f} s)")
+        late = [health[name] for name in waiting if name in started]
+        if now - changed > READY_TIMEOUT:
+            raise _not_ready(instance, late)
+        progress.waiting(f"{int(now - began)} s, waiting for " + ", ".join(_describe(each) for each in late))
+
+
+def _describe(health: Health) -> str:
+    return f"{health.name} ({health.detail})" if health.detail else health.name
+
+
+def _require_first_run(instance: Instance, info: ProcessInfo, pids: dict[str, int]) -> None:
+    """A process that ends while the instance comes up will do so again: fail with its words now."""
+    first = pids.setdefault(info.name, info.pid) if info.pid else pids.get(info.name)
+    if info.state in (ProcessState.EXITED, ProcessState.FATAL, ProcessState.BACKOFF) or info.pid != first:
+        why = info.problem if info.state is ProcessState.FATAL else f"ended with exit status {info.exit_status}"
+        raise StartError(f"{info.name} did not start: {why}{log_tail(instance, info.name)}")
+
+
+def _not_ready(instance: Instance, late: Sequence[Health]) -> StartError:
+    first = late[0]
+    others = f" (nor {', '.join(health.name for health in late[1:])})" if late[1:] else ""
+    return StartError(
+        f"{_describe(first)} was not ready within {READY_TIMEOUT:g} s{others}{log_tail(instance, first.name)}"
+    )
+
+
+def log_tail(instance: Instance, name: str) -> str:
+    """The last lines of a process' log, to be put behind an error's text."""
+    file = log_file(instance, name)
+    try:
+        lines = file.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
+    except OSError:
+        return ""
+    return "".join(f"\n  {line}" for line in [f"{file}:", *lines]) if lines else f" (its log {file} is empty)"
+
+
+def log_file(instance: Instance, name: str) -> Path:
+    """What a process printed."""
+    return instance.logs / f"{name}.log"
+
+
+def _enter_initial_mode(instance: Instance, mode: str, progress: Progress, interruption: Interruption) -> None:
+    from valor.valorctl import control_mode
+
+    began = time.monotonic()
+    progress.waiting(f"waiting for control mode {mode}")
+    change = control_mode.change(instance, mode, check=interruption.check)
+    while not change.reached and change.current == PREPARING and time.monotonic() - began < PREPARATION_TIMEOUT:
+        progress.waiting(f"waiting for control mode {mode}: {change.reason}")
+        interruption.check()
+        time.sleep(RETRY_PERIOD)
+        change = control_mode.change(instance, mode, check=interruption.check)
+    if not change.reached:
+        raise StartError(f"valor_ros_controller: {change.describe()}{log_tail(instance, 'valor_ros_controller')}")
+    progress.done(f"control mode {mode} ({time.monotonic() - began:.1f} s)")
+
+
+def restart(instance: Instance, name: str, progress: Progress, interruption: Interruption) -> None:
+    """Stop a process of a running instance, start it anew, and wait until the new one is ready.
+
+    Raises:
+        ValorError: the instance is not up, there is no such process, or the new one did not become ready.
+    """
+    with instance_setup.changing(instance):
+        supervisor = status.require_up(instance)
+        infos = supervisor.processes()
+        if name not in infos:
+            known = [each for each in BY_NAME if each in infos]
+            raise ValorError(f"service {name!r}: expected one of {', '.join(known)}")
+        before = infos[name].pid
+        progress.waiting(f"stopping {name}")
+        supervisor.stop([name], BY_NAME[name].stop_timeout + shutdown.MARGIN)
+        with Listener(instance, [name]) as listener:
+            _start(instance, supervisor, listener, [BY_NAME[name]], progress=progress, interruption=interruption)
+        after = supervisor.processes()[name].pid
+    progress.done(f"{name} restarted: pid {before or '–'} → {after}")

@@ -1,0 +1,160 @@
+"""``bag``: what a recording holds, mending, saving the last seconds, CSV, playing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.valorctl.console import complain, progress, rich_console, say, say_json
+from valor.valorctl.interruption import Interruption
+
+bag = typer.Typer(name="bag", help="Look into recordings, and mend them.", no_args_is_help=True)
+
+File = Annotated[Path, typer.Argument(help="An .mcap file.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    app.add_typer(bag)
+
+
+@bag.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap file, or a folder of them.")],
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Show when it was recorded, and every topic with its type and number of messages."""
+    from valor.valorctl.bag_summary import summarize
+
+    summary = summarize(file)
+    if json:
+        say_json(summary.as_json())
+        return
+    from rich.table import Table
+
+    console = rich_console()
+    console.print(
+        f"{summary.file}: {summary.size / 1e6:.1f} MB, {summary.duration:.1f} s, {summary.messages} messages",
+        markup=False,
+    )
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("topic")
+    table.add_column("type")
+    table.add_column("messages", justify="right")
+    table.add_column("Hz", justify="right")
+    for topic in summary.topics:
+        table.add_row(topic.name, topic.type, str(topic.messages), f"{topic.rate:.1f}")
+    console.print(table)
+
+
+@bag.command()
+def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+    """Save the last seconds, of a recorder that holds them (up --bag-ring)."""
+    from valor.valorctl import bag_snap, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    reply = bag_snap.snap(instance)
+    if json:
+        say_json({"file": reply.path, "messages": reply.messages, "seconds": reply.seconds})
+    else:
+        say(f"{reply.path}: {reply.seconds:.1f} s, {reply.messages} messages")
+
+
+@bag.command()
+def recover(file: File) -> None:
+    """Finish in place a recording whose recorder was killed; one that is whole is left alone."""
+    from valor.common import rosbag2_metadata
+    from valor.common.bag_recovery import recover as finish
+
+    found = finish(file)
+    if rosbag2_metadata.is_own_folder(file.absolute()):
+        rosbag2_metadata.write(file.absolute().parent)
+    if found.finished:
+        say(f"{file}: whole, {found.messages} messages")
+    else:
+        say(f"{file}: finished, {found.messages} messages kept, {found.bytes_cut} bytes cut")
+
+
+@bag.command()
+def csv(
+    bag_path: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")],
+    out: Annotated[Path | None, typer.Option(help="A new folder; BAG's name with _csv unless given.")] = None,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
+    ] = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="As Parquet files; needs pyarrow.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Write any ROS 2 bag as CSV, one file a topic; of a damaged one what can be saved, and then fail."""
+    from valor.analysis.csv_export import export
+
+    folder = out or bag_path.with_name(f"{bag_path.stem}_csv")
+    with progress() as shown, Interruption() as interruption:
+
+        def tell(messages: int) -> None:
+            interruption.check()
+            shown.waiting(f"{messages} messages")
+
+        made = export(bag_path, folder, topic or (), tell, as_parquet=parquet)
+    if json:
+        say_json(
+            {
+                "files": {str(file): rows for file, rows in made.files.items()},
+                "notices": made.notices,
+                "damage": made.condition.damage,
+                "messages": made.condition.messages,
+            }
+        )
+    else:
+        for line in made.notices:
+            say(line)
+        say(f"{folder}: {len(made.files)} topics, {sum(made.files.values())} messages")
+    _fail_if_nothing(bag_path, topic, len(made.files))
+    _fail_if_damaged(bag_path, made.condition.damage, made.condition.messages)
+
+
+@bag.command()
+def play(
+    bag_path: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")],
+    rate: Annotated[float, typer.Option(help="Of the bag's own pace.")] = 1.0,
+    topic: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
+    ] = None,
+    domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain; ROS_DOMAIN_ID unless given.")] = None,
+) -> None:
+    """Publish a bag's messages on ROS topics; never into the domain of a running system."""
+    from valor.valorctl import bag_player
+
+    instance = Instance.from_environment()
+    with progress() as shown, Interruption() as interruption:
+        played = bag_player.play(
+            bag_path,
+            instance,
+            domain=domain,
+            rate=rate,
+            topics=topic or (),
+            check=interruption.check,
+            tell=lambda passed, messages: shown.waiting(f"{passed:.1f} s, {messages} messages"),
+        )
+    for name, reason in played.skipped.items():
+        say(f"left out: {name}: {reason}")
+    say(f"played {played.messages} messages")
+    _fail_if_nothing(bag_path, topic, played.messages + len(played.skipped))
+    _fail_if_damaged(bag_path, played.damage, played.messages)
+
+
+def _fail_if_nothing(bag_path: Path, topics: list[str] | None, found: int) -> None:
+    if topics and not found:
+        raise ValorError(f"{bag_path}: no topic is like {', '.join(topics)}; `valorctl bag info` lists them")
+
+
+def _fail_if_damaged(bag_path: Path, damage: list[str], messages: int) -> None:
+    for line in damage:
+        complain(line)
+    if damage:
+        raise ValorError(f"{bag_path}: damaged; {messages} messages of it could be read")

@@ -1,0 +1,117 @@
+"""``experiment``, ``report``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.valorctl.console import complain, progress, rich_console, say
+
+if TYPE_CHECKING:
+    from valor.analysis.results import Result
+
+INSTANCE = "experiment"
+ALL = "all"
+OUT = Path("output/experiments")
+REPORT = "report"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    app.command()(experiment)
+    app.command()(report)
+
+
+def experiment(
+    name: Annotated[str | None, typer.Argument(help="Which, or 'all'; they are listed unless given.")] = None,
+    *,
+    out: Annotated[Path, typer.Option(help="Each experiment leaves a folder of its name here.")] = OUT,
+    quick: Annotated[bool, typer.Option("--quick", help="A short form, to see that everything works.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is random in the simulation.")] = 0,
+    robot: Annotated[str, typer.Option(help="A name of robots/, or a folder.")] = "escher",
+    actuators: Annotated[str, typer.Option(help="The robot's profile of imperfections: ideal, hardware.")] = "hardware",
+) -> None:
+    """Repeat an experiment of the thesis, or all and their report, in a system of its own."""
+    from valor.valorctl.experiments.experiment import Options
+    from valor.valorctl.experiments.table import BY_NAME, EXPERIMENTS
+    from valor.valorctl.interruption import Interruption
+
+    if name is None:
+        from rich.table import Table
+
+        table = Table(box=None, pad_edge=False, header_style="dim")
+        for column in ("experiment", "title", "reproduces"):
+            table.add_column(column)
+        for each in EXPERIMENTS:
+            table.add_row(each.name, each.title, each.reproduces)
+        table.add_row(ALL, "One after the other, and their report", "")
+        rich_console().print(table)
+        return
+    if name not in (*BY_NAME, ALL):
+        raise ValorError(f"experiment {name!r}: expected one of {', '.join(BY_NAME)}, {ALL}")
+    folder = out.expanduser().absolute()
+    instance = Instance.from_environment(os.environ.get("VALOR_INSTANCE") or INSTANCE)
+    with progress() as shown, Interruption() as interruption:
+        if name != ALL:
+            options = Options(folder / name, quick, seed, actuators, robot)
+            result, file = BY_NAME[name].perform(instance, options, shown, interruption)
+            _show(result)
+            shown.done(str(file))
+            return
+        from valor.valorctl.experiments import row
+
+        row.perform(instance, Options(folder, quick, seed, actuators, robot), shown, interruption, _show)
+        _report(folder, folder / REPORT)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Where the experiments left their folders.")] = OUT,
+    *,
+    out: Annotated[Path | None, typer.Option(help="The report's folder; FOLDER/report unless given.")] = None,
+) -> None:
+    """Gather what experiments found, each number beside the thesis': a page, a PDF, and Markdown with its figures."""
+    folder = folder.expanduser().absolute()
+    _report(folder, (out or folder / REPORT).expanduser().absolute())
+
+
+def _report(folder: Path, out: Path) -> None:
+    """Write the report of what is there; then complain of what should be there and is not."""
+    from valor.analysis import chapters, report_html, report_markdown, report_pdf
+    from valor.valorctl.experiments.table import EXPERIMENTS
+
+    found = chapters.collect(folder, EXPERIMENTS)
+    files = (
+        report_html.write(found, out / "report.html"),
+        report_pdf.write(found, out / "report.pdf"),
+        report_markdown.write(found, out),
+    )
+    for file in files:
+        say(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+    say(f"{sum(chapter.result is not None for chapter in found)} of {len(found)} experiments are in it")
+    if missing := [chapter.name for chapter in found if chapter.result is None and not chapter.broken]:
+        say(f"not there: {', '.join(missing)}")
+    broken = [line for chapter in found for line in chapter.broken]
+    for line in broken:
+        complain(line)
+    if broken:
+        raise ValorError("the report is written, and says in their places what failed")
+
+
+def _show(result: Result) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{result.title} ({result.reproduces})", box=None, pad_edge=False, header_style="dim",
+                  title_justify="left")  # fmt: skip
+    table.add_column("")
+    table.add_column("here", justify="right")
+    table.add_column("unit")
+    table.add_column("thesis", justify="right")
+    for measure in result.measures:
+        value = "–" if measure.value is None else f"{measure.value:.4g}"
+        table.add_row(measure.name, value, measure.unit, measure.thesis)
+    rich_console().print(table)

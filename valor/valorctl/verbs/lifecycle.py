@@ -1,0 +1,88 @@
+"""``up``, ``down``, ``restart``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from valor.common.instance import ClockMode, Instance
+from valor.valorctl.console import progress, say
+from valor.valorctl.interruption import Interruption
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    app.command()(up)
+    app.command()(down)
+    app.command()(restart)
+
+
+def up(
+    *,
+    profile: Annotated[str, typer.Option(help="A name of deploy/, or a .yaml file.")] = "sim",
+    robot: Annotated[str | None, typer.Option(help="A name of robots/, or a folder.")] = None,
+    clock: Annotated[ClockMode | None, typer.Option(help="How simulated time runs.")] = None,
+    actuators: Annotated[str | None, typer.Option(help="A profile of robot.yaml: ideal, hardware.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random in the simulation.")] = None,
+    world: Annotated[
+        str | None, typer.Option(help="Where the robot stands: flat, dirt, stairs, stairs_15cm, rubble.")
+    ] = None,
+    rtf: Annotated[
+        float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
+    ] = None,
+    bag: Annotated[Path | None, typer.Option(help="The recorder's file, .mcap, or a new folder.")] = None,
+    bag_only: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Record only topics like '/bifrost/*'; may be repeated.")
+    ] = None,
+    bag_without: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Leave out topics like '*/statistics'; may be repeated.")
+    ] = None,
+    bag_split: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SIZE|TIME", help="Begin a new bag every 500MB, 60s or 10min; without, every 4GB."),
+    ] = None,
+    bag_ring: Annotated[
+        float | None, typer.Option(metavar="S", help="Hold the last seconds; save them on a fall or `bag snap`.")
+    ] = None,
+    initial_mode: Annotated[
+        str | None, typer.Option(help="Control mode to bring the robot to; '' leaves it as it starts.")
+    ] = None,
+) -> None:
+    """Start a system; returns when every process is ready and the robot is in its initial mode."""
+    from valor.valorctl import instance_setup, recording_options, startup
+
+    instance = Instance.from_environment()
+    recording = recording_options.recording(bag_only or (), bag_without or (), bag_split or (), bag_ring)
+    began = time.monotonic()
+    plan = instance_setup.plan(
+        instance_setup.Request(profile, robot, clock, actuators, seed, world, rtf, bag, recording, initial_mode)
+    )
+    with progress() as shown, Interruption() as interruption:
+        settings = startup.bring_up(instance, plan, shown, interruption)
+    say(
+        f"instance {instance.name!r} is up in {time.monotonic() - began:.1f} s: {settings.robot.name}, "
+        f"profile {settings.profile}, {settings.clock}, ROS domain {settings.ros_domain_id}"
+    )
+
+
+def down() -> None:
+    """Stop a system and remove all it leaves but logs and bags. What is not up stays down: that is no error."""
+    from valor.valorctl import instance_setup, shutdown
+
+    instance = Instance.from_environment()
+    with progress() as shown, Interruption(), instance_setup.changing(instance):
+        shown.waiting(f"stopping instance {instance.name!r}")
+        was_up = shutdown.take_down(instance)
+    say(f"instance {instance.name!r} is down" if was_up else f"instance {instance.name!r} was not up")
+
+
+def restart(service: Annotated[str, typer.Argument(help="One of those that `status` lists.")]) -> None:
+    """Stop a process, start it anew, and wait until it is ready."""
+    from valor.valorctl import startup
+
+    instance = Instance.from_environment()
+    with progress() as shown, Interruption() as interruption:
+        startup.restart(instance, service, shown, interruption)

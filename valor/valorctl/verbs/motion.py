@@ -1,0 +1,213 @@
+"""``mode``, ``arm``, ``hand``, ``walk``, ``push``, ``get-up``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.valorctl.console import progress, say, say_json, say_rows
+from valor.valorctl.interruption import Interruption
+
+DEFAULT_SECONDS = 5.0  # of a walk
+_NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs."""
+    app.command()(mode)
+    app.command()(arm)
+    app.command()(hand)
+    app.command()(walk)
+    app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
+    app.command(name="get-up")(get_up)
+
+
+def mode(
+    name: Annotated[str | None, typer.Argument(help="The control mode to go to; shown unless given.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Show the control mode, or change it."""
+    from valor.valorctl import control_mode, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    if name is None:
+        report = control_mode.report(instance)
+        flags = control_mode.flag_names(report.status)
+        if json:
+            say_json(
+                {
+                    "control_mode": report.current_control_mode,
+                    "requested": report.requested_control_mode,
+                    "flags": flags,
+                    "behavior": report.behavior or None,
+                }
+            )
+        else:
+            say(
+                f"control mode {report.current_control_mode}, asked for {report.requested_control_mode or 'nothing'} "
+                f"({', '.join(flags) or 'no flags'}); behavior {report.behavior or 'not known'}"
+            )
+        return
+    with Interruption() as interruption:
+        change = control_mode.change(instance, name, check=interruption.check)
+    if json:
+        say_json(
+            {
+                "requested": change.requested,
+                "control_mode": change.current,
+                "reached": change.reached,
+                "flags": control_mode.flag_names(change.status),
+                "reason": change.reason or None,
+                "latency_s": change.latency,
+            }
+        )
+    if not change.reached:
+        raise ValorError(change.describe())
+    if not json:
+        say(change.describe())
+
+
+_SPEED = typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")
+_TOLERANCE = typer.Option(min=0.0, help="For the final error of each joint [rad].")
+_JSON = typer.Option("--json", help="As JSON.")
+
+
+def arm(
+    side: Annotated[Literal["left", "right"], typer.Argument(help="Which arm.")],
+    preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's arm_presets.")],
+    speed: Annotated[float, _SPEED] = 0.5,
+    tolerance: Annotated[float, _TOLERANCE] = 0.05,
+    json: Annotated[bool, _JSON] = False,
+) -> None:
+    """Move an arm to a preset posture and measure how well it got there."""
+    _move(side, "arm", preset, speed=speed, tolerance=tolerance, json=json)
+
+
+def hand(
+    side: Annotated[Literal["left", "right"], typer.Argument(help="Which hand.")],
+    preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's hand_presets: open, close.")],
+    speed: Annotated[float, _SPEED] = 0.5,
+    tolerance: Annotated[float, _TOLERANCE] = 0.05,
+    json: Annotated[bool, _JSON] = False,
+) -> None:
+    """Open or close a hand and measure how well it got there."""
+    _move(side, "hand", preset, speed=speed, tolerance=tolerance, json=json)
+
+
+def _move(
+    side: Literal["left", "right"],
+    limb: Literal["arm", "hand"],
+    name: str,
+    *,
+    speed: float,
+    tolerance: float,
+    json: bool,
+) -> None:
+    from valor.valorctl import arm_motion, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with Interruption() as interruption:
+        motion = arm_motion.move_limb(
+            instance, side, limb, name, speed=speed, tolerance=tolerance, check=interruption.check
+        )
+    if json:
+        say_json(
+            {
+                "side": side,
+                "preset": name,
+                "duration_s": motion.duration,
+                "arrived": motion.arrived,
+                "worst_joint": motion.worst_joint,
+                "worst_error_rad": motion.worst_error,
+                "tolerance_rad": motion.tolerance,
+            }
+        )
+    if not motion.arrived:
+        raise ValorError(f"{side} {limb} did not reach {name}: {motion.describe()}")
+    if not json:
+        say(f"{side} {limb} in {name} after {motion.duration:.1f} s; {motion.describe()}")
+
+
+def walk(
+    *,
+    vx: Annotated[float, typer.Option("--vx", help="Forward [m/s].")] = 0.0,
+    vy: Annotated[float, typer.Option("--vy", help="To the left [m/s].")] = 0.0,
+    wz: Annotated[float, typer.Option("--wz", help="Turning to the left [rad/s].")] = 0.0,
+    seconds: Annotated[
+        float | None, typer.Option("--for", help="At most so long [robot time, s]; 5 unless a distance is given.")
+    ] = None,
+    distance: Annotated[float | None, typer.Option("--distance", help="Until it has gone so far [m].")] = None,
+    straight: Annotated[
+        bool, typer.Option("--straight", help="Keep to the line and the heading it starts with.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Walk at a velocity, stop, and say how far it went."""
+    from valor.valorctl import status, walking
+
+    if seconds is None and distance is None:
+        seconds = DEFAULT_SECONDS
+    order = walking.Order(vx, vy, wz, seconds, distance, straight)
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with progress() as shown, Interruption() as interruption:
+        result = walking.walk(
+            instance,
+            order,
+            interruption.check,
+            lambda passed, way: shown.waiting(f"{passed:.0f} s, {way:.1f} m"),
+        )
+    if json:
+        say_json(
+            {
+                "distance_m": result.distance,
+                "offset_m": result.offset,
+                "turned_rad": result.turned,
+                "duration_s": result.duration,
+                "fell": result.fell,
+                "reason": result.reason or None,
+                "mean_dcm_error_m": result.dcm_error,
+                "longest_pause_s": result.pause,
+                **(result.report.named() if result.report else {}),
+            }
+        )
+    elif result.report:
+        say_rows(result.report.rows())
+    if result.reason:
+        raise ValorError(f"walked {result.describe()}, then {result.reason}")
+    if not json:
+        say(f"walked {result.describe()}")
+
+
+def push(
+    x: Annotated[float, typer.Argument(help="Forward [N·s], in the world's axes.")],
+    y: Annotated[float, typer.Argument(help="To the left [N·s].")],
+    z: Annotated[float, typer.Argument(help="Up [N·s].")],
+) -> None:
+    """Push the simulated robot's chest for 0.1 s."""
+    from valor.valorctl import push as pushing
+    from valor.valorctl import status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    reply = pushing.push(instance, (x, y, z))
+    say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
+
+
+def get_up(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+    """Get up after a fall; the robot ends in stand_prep."""
+    from valor.valorctl import getting_up, status
+
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with progress() as shown, Interruption() as interruption:
+        duration = getting_up.get_up(instance, interruption.check, shown.waiting if json else shown.stage)
+    if json:
+        say_json({"duration_s": duration})
+    else:
+        say(f"up again after {duration:.1f} s; stand_prep")

@@ -1,0 +1,64 @@
+"""``step``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.robot import RobotDescription
+from valor.valorctl.console import say, say_json
+from valor.valorctl.interruption import Interruption
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command(context_settings={"ignore_unknown_options": True})(step)
+
+
+def step(
+    plan: Annotated[Path | None, typer.Argument(help="A plan, as in examples/plans.")] = None,
+    to: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--to", metavar="X Y YAW", help="Where the middle of the feet shall go, in odom [m, m, rad]."),
+    ] = None,
+    relative: Annotated[bool, typer.Option("--relative", help="--to as seen from where the robot stands.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw plan and outcome, from above.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Take footsteps: those of a plan, or some that lead to a place."""
+    from valor.valorctl import status, step_picture, step_plan, stepping
+
+    if (plan is None) == (to is None):
+        raise ValorError("expected a plan's file, or --to X Y YAW")
+    file = step_plan.load(plan) if plan is not None else None
+    instance = Instance.from_environment()
+    status.require_up(instance)
+    with Interruption() as interruption:
+        if file is not None:
+            outcome = stepping.step_plan(instance, file.steps, file.frame, interruption.check)
+        else:
+            assert to is not None
+            outcome = stepping.step_to(instance, to, relative=relative, check=interruption.check)
+    if plot is not None:
+        feet = RobotDescription.load(instance.settings().robot).tables.feet
+        step_picture.draw(plot, feet, outcome.start, outcome.steps, outcome.end)
+    far, turned = outcome.errors
+    if json:
+        say_json(
+            {
+                "steps": len(outcome.steps),
+                "reached": not outcome.reason,
+                "reason": outcome.reason or None,
+                "status": outcome.flags,
+                "largest_error_m": far,
+                "largest_error_rad": turned,
+            }
+        )
+    if outcome.reason:
+        raise ValorError(f"the plan did not reach its end: {outcome.reason}")
+    if not json:
+        say(outcome.describe())
