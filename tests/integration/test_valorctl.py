@@ -147,6 +147,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     assert seen["behavior"]
     assert seen["clock"]["mode"] == "lockstep"
     assert seen["clock"]["real_time_factor"] > 0
+    assert 0 < seen["clock"]["real_time_factor_since_start"] <= 1
     for service in seen["services"].values():
         assert service["restarts"] == 0
         assert service["memory_mib"] > 10

@@ -33,6 +33,19 @@ class Status:
         """Whether every process is ready."""
         return all(service.state == "ready" for service in self.services)
 
+    @property
+    def factor_since_start(self) -> float | None:
+        """Robot time to wall time since the first Motor; None: nothing has passed, or no pace was set.
+
+        What robot time lacks against its schedule is slip.
+        """
+        settings, clock = self.settings, self.clock
+        pace = settings.real_time_factor if clock is not None and clock.mode == "lockstep" else 1.0
+        if clock is None or clock.time <= 0 or not pace:
+            return None
+        passed = clock.time * 1e-9
+        return pace * passed / (passed + clock.slip)
+
     def as_json(self) -> dict[str, Any]:
         """The object of ``status --json``."""
         clock = self.clock
@@ -46,6 +59,7 @@ class Status:
             "clock": {
                 "mode": clock.mode if clock else self.settings.clock,
                 "real_time_factor": clock.real_time_factor if clock else None,
+                "real_time_factor_since_start": self.factor_since_start,
                 "slip_s": clock.slip if clock else None,
             },
             "services": [

@@ -39,7 +39,9 @@ def _show(status: Status) -> None:
     settings, clock = status.settings, status.clock
     time = clock.mode if clock else settings.clock
     if clock:
-        time += f", {clock.real_time_factor:.2f} × real time, slip {clock.slip:.2f} s"
+        time += f", {clock.real_time_factor:.2f} × real time in the last second"
+        if status.factor_since_start is not None:
+            time += f", {status.factor_since_start:.3f} since the start ({clock.slip:.2f} s lost)"
     console = rich_console()
     console.print(
         f"[bold]{status.instance}[/]: {settings.robot.name}, profile {settings.profile}, {time}\n"
