@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,21 @@ STAND, FREE = 1.0, 5.0  # when the arms are freed, and when they are locked agai
 END, RATE = 6.0, 100.0
 
 
-def simulate(robot: RobotDescription) -> Iterator[tuple[Topic, Message]]:
+def still(time: float) -> tuple[Any, float]:
+    """A pelvis that stays: shift (3,) [m] and turn about the vertical [rad] from where it hangs."""
+    return np.zeros(3), 0.0
+
+
+def simulate(
+    robot: RobotDescription, pelvis: Callable[[float], tuple[Any, float]] = still
+) -> Iterator[tuple[Topic, Message]]:
     """The robot hung by its pelvis, its joints servoed after a reference that reaches out and comes back.
 
     The plant has gravity and the joints' own damping, so measurement, command and reference differ as they would.
+
+    Args:
+        robot: whose.
+        pelvis: how the estimated pelvis moves, as ``still`` says.
     """
     spec = robot_spec(robot, "none")
     model = Model(robot, spec.compile())
@@ -66,10 +77,13 @@ def simulate(robot: RobotDescription) -> Iterator[tuple[Topic, Message]]:
             damping=robot.servo_damping,
         )  # fmt: skip
         com = data.subtree_com[0].copy()
+        shift, turn = pelvis(now)
+        turned, about = np.empty(4), np.array((np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)))
+        mujoco.mju_mulQuat(turned, about, base[3:])
         yield MOTION_STATE, MotionState(
             time=time, proprioceptor_sequence=k + 1, behavior="stand_manipulate" if free else "stand",
             locomotion="stand", manipulation="teleop" if free else "slave", attention="look", reason="",
-            pelvis_position_in_odom=base[:3], pelvis_orientation_in_odom=base[3:],
+            pelvis_position_in_odom=base[:3] + shift, pelvis_orientation_in_odom=turned,
             pelvis_linear_velocity_in_odom=np.zeros(3), pelvis_angular_velocity_in_pelvis=np.zeros(3),
             com_in_odom=com, dcm_in_odom=com, dcm_reference_in_odom=com, cop_in_odom=com[:2].copy(),
             contacts=np.ones(2, dtype=np.uint8), contact_probability=np.ones(2),
@@ -91,8 +105,13 @@ def simulate(robot: RobotDescription) -> Iterator[tuple[Topic, Message]]:
         )  # fmt: skip
 
 
-def write(path: Path, robot: RobotDescription, without: Topic | None = None) -> None:
-    """Simulate and write ``path``, without a topic if one is named."""
+def write(
+    path: Path,
+    robot: RobotDescription,
+    without: Topic | None = None,
+    pelvis: Callable[[float], tuple[Any, float]] = still,
+) -> None:
+    """Simulate and write ``path``, without a topic if one is named; the pelvis as in ``simulate``."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for file in sorted(DEFINITIONS.glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(), f"valor_msgs/msg/{file.stem}"))
@@ -101,7 +120,7 @@ def write(path: Path, robot: RobotDescription, without: Topic | None = None) -> 
     stamp_type = store.types["builtin_interfaces/msg/Time"]
     header_type = store.types["std_msgs/msg/Header"]
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for i, (topic, message) in enumerate(simulate(robot)):
+        for i, (topic, message) in enumerate(simulate(robot, pelvis)):
             if topic is without:
                 continue
             name = f"valor_msgs/msg/{topic.type.__name__}"

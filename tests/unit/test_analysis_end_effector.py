@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests import analysis_bag
 from valor.analysis.bag import Array, Bag
@@ -100,3 +101,38 @@ def test_an_arm_that_nothing_moved_is_refused(tmp_path: Path) -> None:
     path.with_suffix(".json").write_text('{"motions": [{"name": 3}]}')
     with pytest.raises(BagError, match=r"Expected `str`, got `int`"):
         Timeline.load(path.with_suffix(".json"))
+
+
+SWAY = np.array((0.06, -0.04, 0.03))  # of the pelvis, from its place before the arm moved [m]
+
+
+def swaying(time: float) -> tuple[Array, float]:
+    """The pelvis gives way while the arm is out, and turns."""
+    share = float(np.interp(time, (1.0, 2.5, 3.5, 4.9), (0.0, 1.0, 1.0, 0.0)))
+    return share * SWAY, 0.2 * share
+
+
+def test_what_a_moving_base_does_to_the_hand_is_told_apart_from_the_arm(track: HandTrack, tmp_path: Path) -> None:
+    """The same motion on a base that stays and on one that gives way: the joints' errors are the same."""
+    path = tmp_path / "sway.mcap"
+    analysis_bag.write(path, ROBOT, pelvis=swaying)
+    swayed = HandTrack.of(Recording(Bag(path), ROBOT), Timeline(track.motions), "right")
+    np.testing.assert_array_equal(swayed.time, track.time)
+    for fixed in ("reference", "command", "fixed"):
+        np.testing.assert_allclose(getattr(swayed, fixed).position, getattr(track, fixed).position, atol=1e-9)
+        np.testing.assert_allclose(getattr(swayed, fixed).rotation, getattr(track, fixed).rotation, atol=1e-9)
+    np.testing.assert_allclose(swayed.tracking_error.position, track.tracking_error.position, atol=1e-9)
+    for place, time in enumerate(swayed.time):
+        shift, turn = swaying(float(time))
+        turned = Rotation.from_euler("z", turn).as_matrix()  # about the pelvis, which hangs above odom's origin
+        for moved, still in ((swayed.chest, track.chest), (swayed.floating, track.floating)):
+            np.testing.assert_allclose(moved.position[place], turned @ still.position[place] + shift, atol=2e-3)
+            np.testing.assert_allclose(moved.rotation[place], turned @ still.rotation[place], atol=2e-3)
+    out = swayed.settled(track.motions[0])
+    assert swayed.base_error.distance[out].min() > 0.05
+    assert np.rad2deg(np.abs(swayed.base_error.orientation[out, 2])).min() > 5.0
+    np.testing.assert_allclose(
+        swayed.total_error.position[out],
+        (swayed.base_error.position + swayed.tracking_error.position + swayed.command_error.position)[out],
+        atol=1e-12,
+    )

@@ -68,3 +68,25 @@ def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_wha
         assert (np.abs(velocity) <= speed).all()
         assert (np.abs(position - last) <= speed * min(LONGEST_STEP, max(0, milliseconds) * 1e-3) + 1e-8).all()
         last = position
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+@pytest.mark.parametrize("added", [False, True])
+def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side, added):
+    """Of every joint, the pelvis' six included; whether its own controller asks for it or another adds it."""
+    hw = ValorEscherHWInterface(ROBOT)
+    limits = hw.limits(np.arange(len(hw.names)))
+    joints = np.flatnonzero(np.isfinite(limits.lower) & np.isfinite(limits.upper))
+    assert set(range(hw.pelvis, hw.pelvis + 6)) | set(ARM) <= set(joints)
+    limits = hw.limits(joints)
+    limit, way = getattr(limits, side), limits.upper - limits.lower
+    beyond = 0.3 if side == "upper" else -0.3
+    hw.command_position[joints] = 0.5 * (limits.lower + limits.upper)
+    hw.write("all", joints)
+    hw.command_position[joints] = limit + (0.0 if added else beyond)
+    hw.command_offset[joints] = beyond if added else 0.0
+    for _ in range(int((way / limits.velocity).max() / LONGEST_STEP) + 1):
+        hw.time += round(1e9 * LONGEST_STEP)
+        position, _, _ = hw.rectify()
+        assert (position >= limits.lower).all() and (position <= limits.upper).all()
+    assert position.tolist() == limit.tolist()
