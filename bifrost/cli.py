@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import statistics
 import sys
 import time
@@ -31,9 +32,17 @@ from bifrost.subscriber import Received, Subscriber
 _QUEUE = 10_000  # messages; more than a second of anything
 _DAEMON_TIMEOUT = 2.0  # [s]
 
-topic = typer.Typer(name="topic", help="See what is published on Bifrost.", no_args_is_help=True)
-service = typer.Typer(name="service", help="See and call what is served on Bifrost.", no_args_is_help=True)
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+# Markup would take the units in brackets for its own.
+topic = typer.Typer(name="topic", help="See what is published on Bifrost.", no_args_is_help=True, rich_markup_mode=None)
+service = typer.Typer(
+    name="service", help="See and call what is served on Bifrost.", no_args_is_help=True, rich_markup_mode=None
+)
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 app.add_typer(topic)
 app.add_typer(service)
 
@@ -355,12 +364,17 @@ def _windows(
 @contextlib.contextmanager
 def _until_interrupted() -> Iterator[None]:
     """Ctrl-C, or a reader that has seen enough, is how a person ends these."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:  # a larger command line may have its own
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
         sys.stdout = None  # nobody reads: do not try again at exit
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 # --- what a person or a program writes --------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from valor.valorctl.__main__ import main
+from valor.valorctl.__main__ import run as main
 from valor.valorctl.experiments.table import EXPERIMENTS
 
 

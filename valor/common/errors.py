@@ -1,5 +1,9 @@
 """Errors that carry one line for a person: file, key, what was expected."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
+
 
 class ValorError(Exception):
     """Base of every error that the project raises on purpose. Its text is one line."""
@@ -7,3 +11,32 @@ class ValorError(Exception):
 
 class ConfigurationError(ValorError):
     """A file or a setting is missing or wrong: names the file, the key and what was expected."""
+
+
+def expected(value: str, known: Iterable[str], besides: str = "") -> str:
+    """What to say of a value that is none of those known: which are, and which of them it nearly is.
+
+    Args:
+        value: what was given.
+        known: what it could have been.
+        besides: what else it could have been, in words.
+    """
+    from difflib import get_close_matches
+
+    names = list(known)
+    text = "; ".join(
+        [f"expected {besides}one of {', '.join(names) or '(none found)'}"]
+        + [f"did you mean {near!r}?" for near in get_close_matches(value, names, n=1)]
+    )
+    return f"{value!r}: {text}"
+
+
+def require_one_of(what: str, value: str, known: Iterable[str]) -> None:
+    """Check a value against those known.
+
+    Raises:
+        ConfigurationError: it is none of them; lists them.
+    """
+    names = list(known)
+    if value not in names:
+        raise ConfigurationError(f"{what} {expected(value, names)}")

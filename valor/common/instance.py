@@ -113,6 +113,12 @@ class Instance:
         """Where bags go unless told otherwise."""
         return self.folder / "bags"
 
+    @property
+    def not_up(self) -> str:
+        """What to say of it while it is down: how to get it up."""
+        named = "" if self.name == DEFAULT_NAME else f" --instance {self.name}"
+        return f"instance {self.name!r} is not up (no {self.settings_file}); `valorctl up{named}` starts it"
+
     def settings(self) -> Settings:
         """The settings of the running instance.
 
@@ -122,7 +128,7 @@ class Instance:
         try:
             return checked(Settings, msgspec.json.decode(self.settings_file.read_text()))
         except FileNotFoundError:
-            raise ConfigurationError(f"instance {self.name!r} is not up: no {self.settings_file}") from None
+            raise ConfigurationError(self.not_up) from None
         except (OSError, ValueError) as error:
             raise ConfigurationError(f"{self.settings_file}: {' '.join(str(error).split())}") from None
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from valor.common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError, expected
 
 _PACKAGE = Path(__file__).resolve().parent
 _CHECKOUT = _PACKAGE.parents[1]
@@ -18,24 +18,31 @@ def _root() -> Path:
     return _CHECKOUT if (_CHECKOUT / "pyproject.toml").is_file() else _PACKAGE / "data"
 
 
+def robots() -> list[str]:
+    """Names of our robots."""
+    return sorted(file.parent.name for file in (_root() / "robots").glob("*/robot.yaml"))
+
+
+def profiles() -> list[str]:
+    """Names of our profiles."""
+    return sorted(file.stem for file in (_root() / "deploy").glob("*.yaml"))
+
+
 def robot_folder(robot: str) -> Path:
     """The folder of a robot: one of ours by name, or any folder with a ``robot.yaml``.
 
     Raises:
         ConfigurationError: no such robot; lists those known.
     """
-    ours = _root() / "robots"
-    known = sorted(file.parent.name for file in ours.glob("*/robot.yaml"))
+    known = robots()
     if robot in known:
-        return ours / robot
+        return _root() / "robots" / robot
     folder = Path(robot).expanduser()
     if (folder / "robot.yaml").is_file():
         return folder.resolve()
     if folder.is_dir() and "/" in robot:
         raise ConfigurationError(f"robot {robot!r}: no robot.yaml in that folder")
-    raise ConfigurationError(
-        f"robot {robot!r}: expected a folder with robot.yaml, or one of {', '.join(known) or '(none found)'}"
-    )
+    raise ConfigurationError(f"robot {expected(robot, known, 'a folder with robot.yaml, or ')}")
 
 
 def profile_file(profile: str) -> Path:
@@ -44,16 +51,13 @@ def profile_file(profile: str) -> Path:
     Raises:
         ConfigurationError: no such profile; lists those known.
     """
-    ours = _root() / "deploy"
-    known = sorted(file.stem for file in ours.glob("*.yaml"))
+    known = profiles()
     if profile in known:
-        return ours / f"{profile}.yaml"
+        return _root() / "deploy" / f"{profile}.yaml"
     file = Path(profile).expanduser()
     if file.suffix == ".yaml" and file.is_file():
         return file.resolve()
-    raise ConfigurationError(
-        f"profile {profile!r}: expected a .yaml file, or one of {', '.join(known) or '(none found)'}"
-    )
+    raise ConfigurationError(f"profile {expected(profile, known, 'a .yaml file, or ')}")
 
 
 def middleware_profile() -> Path:

@@ -1,25 +1,47 @@
-"""``valorctl``: the command line's entry point and its exit status."""
+"""``valorctl``: the command line's entry point and its exit status.
+
+Imports little, for until ``main`` has begun Ctrl-C ends in a traceback.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-
-from valor.common.errors import ValorError
-from valor.common.instance import Instance
-from valor.valorctl.app import app
-from valor.valorctl.console import complain
-from valor.valorctl.interruption import InterruptedBySignalError
 
 EXIT_FAILURE = 1
 
 
 def main() -> int:
+    """Run the command line as a process of its own; what ``run`` says, and Ctrl-C at any moment ends it in one line.
+
+    Where something must be put in order first, ``interruption`` takes over.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as under nohup
+        signal.signal(signal.SIGINT, _end)
+    return run()
+
+
+def _end(signum: int, _frame: object) -> None:
+    """End here and now: an exception would surface wherever an import or a library's callback happens to be."""
+    name = signal.Signals(signum).name
+    clear = "\r\033[K\033[?25h" if os.isatty(2) else ""  # the line that told of progress, and the cursor again
+    os.write(2, f"{clear}valorctl: interrupted by {name}\n".encode())
+    os._exit(128 + signum)
+
+
+def run() -> int:
     """Run the command line.
 
     Returns:
         0 when the thing was done and verified, 1 when not, 128 and the signal's number when interrupted. A wrong
         command line exits with 2.
     """
+    from valor.common.errors import ValorError
+    from valor.valorctl.app import app
+    from valor.valorctl.console import complain
+    from valor.valorctl.interruption import InterruptedBySignalError
+
     try:
         app()
     except InterruptedBySignalError as error:
@@ -31,7 +53,10 @@ def main() -> int:
     except Exception as error:
         # Bifrost takes long to import: whatever it raised, it has been imported.
         if (bifrost := sys.modules.get("bifrost")) and isinstance(error, bifrost.Error):
-            complain(str(error) if Instance.from_environment().settings_file.exists() else f"not up: {error}")
+            from valor.common.instance import Instance
+
+            instance = Instance.from_environment()
+            complain(str(error) if instance.settings_file.exists() else instance.not_up)
             return EXIT_FAILURE
         raise
     return 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from valor.valorctl import completion
 from valor.valorctl.verbs import bags, demonstration, diagnosis, experiments, lifecycle, motion, observation, step
 
 # Verbs of Bifrost itself; loaded when used.
@@ -34,6 +36,23 @@ def hoist_instance(arguments: list[str]) -> list[str]:
     return hoisted + rest
 
 
+def _finite(_: Any, parameter: Any, value: Any) -> Any:
+    """No number of a command line is infinite or none at all."""
+    for number in value if isinstance(value, (list, tuple)) else (value,):
+        if isinstance(number, float) and not math.isfinite(number):
+            raise typer.BadParameter(f"{number}: expected a finite number", param_hint=parameter.get_error_hint())
+    return value
+
+
+def _strict(command: Any) -> Any:
+    """A verb, or a group of them, whose numbers are finite."""
+    for parameter in command.params:
+        parameter.callback = parameter.callback or _finite
+    for verb in getattr(command, "commands", {}).values():
+        _strict(verb)
+    return command
+
+
 class _Verbs(TyperGroup):
     """Verbs that are loaded late, and a shared option that may stand anywhere."""
 
@@ -48,17 +67,18 @@ class _Verbs(TyperGroup):
             from valor.valorctl.verbs.bifrost_verbs import command
 
             # Asked for before the shared option's own callback runs.
-            return command(cmd_name, ctx.params.get("instance"))
-        return super().get_command(ctx, cmd_name)
+            return _strict(command(cmd_name, ctx.params.get("instance")))
+        found = super().get_command(ctx, cmd_name)
+        return found and _strict(found)
 
 
 app = typer.Typer(
     name="valorctl",
     cls=_Verbs,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+    rich_markup_mode=None,  # which would take the units in brackets for its own
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
 )
 for _group in (lifecycle, observation, motion, step, bags, demonstration, experiments, diagnosis):
@@ -70,7 +90,9 @@ def _shared(
     instance: Annotated[
         str | None,
         typer.Option(
-            envvar="VALOR_INSTANCE", help="Which of the systems on this computer; `default` unless told otherwise."
+            envvar="VALOR_INSTANCE",
+            help="Which of the systems on this computer; `default` unless told otherwise.",
+            autocompletion=completion.instances,
         ),
     ] = None,
 ) -> None:

@@ -13,11 +13,12 @@ from pathlib import Path
 import msgspec
 
 import bifrost
-from valor.common import worlds
-from valor.common.errors import ConfigurationError, ValorError
+from valor.common.errors import ConfigurationError, ValorError, require_one_of
 from valor.common.instance import ClockMode, Instance, Recording, Settings
 from valor.common.resources import profile_file, robot_folder
 from valor.common.robot import RobotDescription
+from valor.common.world_names import WORLD_NAMES
+from valor.valorctl import mode_names
 from valor.valorctl.profile import Profile
 
 
@@ -70,13 +71,19 @@ def plan(request: Request) -> Plan:
         bag=_bag(request.bag),
         recording=request.recording,
     )
-    _expect("--actuators", settings.actuators, tuple(robot.tables.actuators))
-    worlds.check(settings.world, "--world")
+    require_one_of("--actuators", settings.actuators, robot.tables.actuators)
+    require_one_of("--world", settings.world, WORLD_NAMES)
     if profile.variant == "hardware" and not robot.tables.devices:
         raise ConfigurationError(
             f"{robot.folder / 'robot.yaml'}: devices: none; expected those of the robot (profile {request.profile})"
         )
     initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
+    if request.initial_mode and "valor_ros_controller" not in profile.processes:
+        raise ConfigurationError(
+            f"--initial-mode {request.initial_mode!r}: profile {request.profile} has no control modes"
+        )
+    if initial_mode:
+        require_one_of("--initial-mode", initial_mode, mode_names.initial())
     return Plan(profile.suiting(robot), settings, initial_mode or None)
 
 
@@ -87,11 +94,6 @@ def _bag(file: Path | None) -> Path | None:
     if file.is_dir():
         raise ConfigurationError(f"--bag {file}: is a folder; expected a file name")
     return file
-
-
-def _expect(option: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigurationError(f"{option} {value!r}: expected one of {', '.join(known)}")
 
 
 def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:

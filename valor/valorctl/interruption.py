@@ -6,7 +6,9 @@ every wait looks at it, and what follows an ``InterruptedBySignalError`` runs un
 
 from __future__ import annotations
 
+import contextlib
 import signal
+from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Self
 
@@ -49,3 +51,17 @@ class Interruption:
         """Raise ``InterruptedBySignalError`` if a signal has come."""
         if self._signum:
             raise InterruptedBySignalError(self._signum)
+
+
+@contextlib.contextmanager
+def until_interrupted() -> Iterator[None]:
+    """Ctrl-C is how a person ends what is inside: then it is over, and that is no failure."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Self, TextIO
 
-from valor.common.errors import ValorError
+from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
 from valor.common.processes import BY_NAME
 
@@ -25,8 +25,8 @@ class LogReader:
             ValorError: unknown process, or no log of it; lists the known.
         """
         known = [*BY_NAME, "supervisord"]
-        if name is not None and name not in known:
-            raise ValorError(f"service {name!r}: expected one of {', '.join(known)}")
+        if name is not None:
+            require_one_of("service", name, known)
         names = [name] if name else list(BY_NAME)
         paths = {each: instance.logs / f"{each}.log" for each in names}
         self._paths = {each: path for each, path in paths.items() if path.exists()}

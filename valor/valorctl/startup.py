@@ -8,20 +8,20 @@ import time
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-from valor.common.errors import ValorError
+from valor.common.errors import ValorError, expected
 from valor.common.instance import Instance, Settings
 from valor.common.processes import BY_NAME, Process
 from valor.valorctl import instance_setup, leftovers, ros_domain, shutdown, status, supervision, supervisor_config
 from valor.valorctl.console import Progress
 from valor.valorctl.health import Health, Listener, judge
 from valor.valorctl.interruption import Interruption
+from valor.valorctl.mode_names import PREPARING
 from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor
 
 # Without another process getting ready [s]. One that ends is noticed at once; this is for those that hang on a busy
 # computer.
 READY_TIMEOUT = 120.0
 _TAIL_LINES = 12
-PREPARING = "stand_prep"  # the mode that the robot comes up in, until it is in its posture
 PREPARATION_TIMEOUT = 30.0  # [s]
 RETRY_PERIOD = 0.5  # [s]
 
@@ -193,7 +193,7 @@ def restart(instance: Instance, name: str, progress: Progress, interruption: Int
         infos = supervisor.processes()
         if name not in infos:
             known = [each for each in BY_NAME if each in infos]
-            raise ValorError(f"service {name!r}: expected one of {', '.join(known)}")
+            raise ValorError(f"service {expected(name, known)}")
         before = infos[name].pid
         progress.waiting(f"stopping {name}")
         supervisor.stop([name], BY_NAME[name].stop_timeout + shutdown.MARGIN)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.errors import ConfigurationError
+from valor.common.errors import require_one_of
 from valor.common.worlds.dirt import Dirt
 from valor.common.worlds.flat import Flat
 from valor.common.worlds.rubble import Rubble
@@ -19,7 +19,7 @@ from valor.common.worlds.stairs import Stairs
 from valor.common.worlds.world import World, add_materials
 
 # fmt: off
-WORLDS: dict[str, World] = {
+WORLDS: dict[str, World] = {  # named in world_names, too
     "flat":        Flat(),
     "dirt":        Dirt(course=61.0, bump_height=0.02, bump_lengths=(0.2, 1.0), slope=5.0),
     "stairs":      Stairs(rise=0.10, tread=0.3, steps=3),
@@ -37,14 +37,13 @@ def known() -> tuple[str, ...]:
     return tuple(WORLDS)
 
 
-def check(name: str, what: str = "world") -> str:
+def check(name: str) -> str:
     """A world's name, if it is one.
 
     Raises:
         ConfigurationError: it is none; lists the known.
     """
-    if name not in WORLDS:
-        raise ConfigurationError(f"{what} {name!r}: expected one of {', '.join(WORLDS)}")
+    require_one_of("world", name, WORLDS)
     return name
 
 

@@ -12,7 +12,7 @@ from valor.common.instance import Instance
 from valor.valorctl.console import complain, progress, rich_console, say, say_json
 from valor.valorctl.interruption import Interruption
 
-bag = typer.Typer(name="bag", help="Look into recordings, and mend them.", no_args_is_help=True)
+bag = typer.Typer(name="bag", help="Look into recordings, and mend them.", no_args_is_help=True, rich_markup_mode=None)
 
 File = Annotated[Path, typer.Argument(help="An .mcap file.")]
 

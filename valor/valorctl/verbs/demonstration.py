@@ -11,7 +11,7 @@ import typer
 from valor.common.instance import ClockMode, Instance
 from valor.valorctl.console import progress
 
-demo = typer.Typer(name="demo", invoke_without_command=True)
+demo = typer.Typer(name="demo", invoke_without_command=True, rich_markup_mode=None)
 
 
 def register(app: typer.Typer) -> None:

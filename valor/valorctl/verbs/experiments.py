@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from valor.common.errors import ValorError
+from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
+from valor.valorctl import completion
 from valor.valorctl.console import complain, progress, rich_console, say
+from valor.valorctl.verbs.lifecycle import ROBOT
 
 if TYPE_CHECKING:
     from valor.analysis.results import Result
@@ -28,12 +30,15 @@ def register(app: typer.Typer) -> None:
 
 
 def experiment(
-    name: Annotated[str | None, typer.Argument(help="Which, or 'all'; they are listed unless given.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Which, or 'all'; they are listed unless given.", autocompletion=completion.experiments),
+    ] = None,
     *,
     out: Annotated[Path, typer.Option(help="Each experiment leaves a folder of its name here.")] = OUT,
     quick: Annotated[bool, typer.Option("--quick", help="A short form, to see that everything works.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random in the simulation.")] = 0,
-    robot: Annotated[str, typer.Option(help="A name of robots/, or a folder.")] = "escher",
+    robot: Annotated[str, ROBOT] = "escher",
     actuators: Annotated[str, typer.Option(help="The robot's profile of imperfections: ideal, hardware.")] = "hardware",
 ) -> None:
     """Repeat an experiment of the thesis, or all and their report, in a system of its own."""
@@ -52,8 +57,7 @@ def experiment(
         table.add_row(ALL, "One after the other, and their report", "")
         rich_console().print(table)
         return
-    if name not in (*BY_NAME, ALL):
-        raise ValorError(f"experiment {name!r}: expected one of {', '.join(BY_NAME)}, {ALL}")
+    require_one_of("experiment", name, (*BY_NAME, ALL))
     folder = out.expanduser().absolute()
     instance = Instance.from_environment(os.environ.get("VALOR_INSTANCE") or INSTANCE)
     with progress() as shown, Interruption() as interruption:

@@ -9,8 +9,17 @@ from typing import Annotated
 import typer
 
 from valor.common.instance import ClockMode, Instance
+from valor.common.resources import profiles, robots
+from valor.common.world_names import WORLD_NAMES
+from valor.valorctl import completion
 from valor.valorctl.console import progress, say
 from valor.valorctl.interruption import Interruption
+
+_PROFILE = typer.Option(
+    help=f"Which processes, on what: {', '.join(profiles())}, or a .yaml file.", autocompletion=completion.profiles
+)
+ROBOT = typer.Option(help=f"{', '.join(robots())}, or a folder with robot.yaml.", autocompletion=completion.robots)
+_WORLD = typer.Option(help=f"Where the robot stands: {', '.join(WORLD_NAMES)}.", autocompletion=completion.worlds)
 
 
 def register(app: typer.Typer) -> None:
@@ -22,14 +31,15 @@ def register(app: typer.Typer) -> None:
 
 def up(
     *,
-    profile: Annotated[str, typer.Option(help="A name of deploy/, or a .yaml file.")] = "sim",
-    robot: Annotated[str | None, typer.Option(help="A name of robots/, or a folder.")] = None,
+    profile: Annotated[str, _PROFILE] = "sim",
+    robot: Annotated[str | None, ROBOT] = None,
     clock: Annotated[ClockMode | None, typer.Option(help="How simulated time runs.")] = None,
-    actuators: Annotated[str | None, typer.Option(help="A profile of robot.yaml: ideal, hardware.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random in the simulation.")] = None,
-    world: Annotated[
-        str | None, typer.Option(help="Where the robot stands: flat, dirt, stairs, stairs_15cm, rubble.")
+    actuators: Annotated[
+        str | None,
+        typer.Option(help="A profile of robot.yaml: ideal, hardware.", autocompletion=completion.actuators),
     ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random in the simulation.")] = None,
+    world: Annotated[str | None, _WORLD] = None,
     rtf: Annotated[
         float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
     ] = None,
@@ -48,7 +58,11 @@ def up(
         float | None, typer.Option(metavar="S", help="Hold the last seconds; save them on a fall or `bag snap`.")
     ] = None,
     initial_mode: Annotated[
-        str | None, typer.Option(help="Control mode to bring the robot to; '' leaves it as it starts.")
+        str | None,
+        typer.Option(
+            help="Control mode to bring the robot to: stand_prep, stand, stand_manipulate; '' leaves it as it starts.",
+            autocompletion=completion.initial_modes,
+        ),
     ] = None,
 ) -> None:
     """Start a system; returns when every process is ready and the robot is in its initial mode."""
@@ -79,7 +93,11 @@ def down() -> None:
     say(f"instance {instance.name!r} is down" if was_up else f"instance {instance.name!r} was not up")
 
 
-def restart(service: Annotated[str, typer.Argument(help="One of those that `status` lists.")]) -> None:
+def restart(
+    service: Annotated[
+        str, typer.Argument(help="One of those that `status` lists.", autocompletion=completion.services)
+    ],
+) -> None:
     """Stop a process, start it anew, and wait until it is ready."""
     from valor.valorctl import startup
 

@@ -6,13 +6,21 @@ from typing import Annotated, Literal
 
 import typer
 
-from valor.common.errors import ValorError
+from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
+from valor.valorctl import completion
 from valor.valorctl.console import progress, say, say_json, say_rows
 from valor.valorctl.interruption import Interruption
 
 DEFAULT_SECONDS = 5.0  # of a walk
 _NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
+
+
+_MODE = typer.Argument(help="The control mode to go to; shown unless given.", autocompletion=completion.modes)
+_ARM_PRESET = typer.Argument(help="A posture of robot.yaml's arm_presets.", autocompletion=completion.arm_presets)
+_HAND_PRESET = typer.Argument(
+    help="A posture of robot.yaml's hand_presets: open, close.", autocompletion=completion.hand_presets
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -26,11 +34,11 @@ def register(app: typer.Typer) -> None:
 
 
 def mode(
-    name: Annotated[str | None, typer.Argument(help="The control mode to go to; shown unless given.")] = None,
+    name: Annotated[str | None, _MODE] = None,
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Show the control mode, or change it."""
-    from valor.valorctl import control_mode, status
+    from valor.valorctl import control_mode, mode_names, status
 
     instance = Instance.from_environment()
     status.require_up(instance)
@@ -52,6 +60,7 @@ def mode(
                 f"({', '.join(flags) or 'no flags'}); behavior {report.behavior or 'not known'}"
             )
         return
+    require_one_of("control mode", name, mode_names.names())
     with Interruption() as interruption:
         change = control_mode.change(instance, name, check=interruption.check)
     if json:
@@ -78,7 +87,7 @@ _JSON = typer.Option("--json", help="As JSON.")
 
 def arm(
     side: Annotated[Literal["left", "right"], typer.Argument(help="Which arm.")],
-    preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's arm_presets.")],
+    preset: Annotated[str, _ARM_PRESET],
     speed: Annotated[float, _SPEED] = 0.5,
     tolerance: Annotated[float, _TOLERANCE] = 0.05,
     json: Annotated[bool, _JSON] = False,
@@ -89,7 +98,7 @@ def arm(
 
 def hand(
     side: Annotated[Literal["left", "right"], typer.Argument(help="Which hand.")],
-    preset: Annotated[str, typer.Argument(help="A posture of robot.yaml's hand_presets: open, close.")],
+    preset: Annotated[str, _HAND_PRESET],
     speed: Annotated[float, _SPEED] = 0.5,
     tolerance: Annotated[float, _TOLERANCE] = 0.05,
     json: Annotated[bool, _JSON] = False,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from valor.common.instance import Instance
+from valor.valorctl import completion
 from valor.valorctl.console import rich_console, say, say_json
 
 if TYPE_CHECKING:
@@ -67,7 +68,10 @@ def _show(status: Status) -> None:
 
 
 def logs(
-    service: Annotated[str | None, typer.Argument(help="One of those that `status` lists; all unless given.")] = None,
+    service: Annotated[
+        str | None,
+        typer.Argument(help="One of those that `status` lists; all unless given.", autocompletion=completion.services),
+    ] = None,
     lines: Annotated[int, typer.Option("--lines", "-n", min=0, help="How many of the last lines.")] = 20,
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what comes.")] = False,
 ) -> None:

@@ -9,7 +9,6 @@ import typer
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.robot import RobotDescription
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
 
@@ -30,6 +29,7 @@ def step(
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Take footsteps: those of a plan, or some that lead to a place."""
+    from valor.common.robot import RobotDescription
     from valor.valorctl import status, step_picture, step_plan, stepping
 
     if (plan is None) == (to is None):
