@@ -10,12 +10,11 @@ from typing import Any, Generic
 import msgspec
 import numpy as np
 
-from bifrost.messages import ENCODER, FLOAT64, UINT8, Float64Array, M, Message, Uint8Array, decoder
-from bifrost.schema import list_type, optional_type, schema_of
+from bifrost.messages import ENCODER, WIRE_TYPES, M, Message, decoder
+from bifrost.schema import array_kind, field_types, list_type, optional_type, schema_of
 
 _Check = Callable[[Any, str], None]
 _LOWEST, _HIGHEST = -(2**63), 2**63 - 1
-_ELEMENTS: dict[Any, np.dtype[Any]] = {Float64Array: FLOAT64, Uint8Array: UINT8}
 _Integer = typing.Annotated[int, msgspec.Meta(ge=_LOWEST, le=_HIGHEST)]
 
 
@@ -37,11 +36,8 @@ class Codec(Generic[M]):
         self.name = message_type.__name__
         self.schema = schema_of(message_type)
         self.hash = self.schema.digest()
-        _bound_integers(message_type)
-        fields = [text for described in self.schema.types.values() for _, text in described]
-        self.decode: Callable[[bytes | memoryview], M] = decoder(
-            message_type, reals=any("float64[]" in text for text in fields), octets=any("uint8[]" in t for t in fields)
-        ).decode
+        _put_on_wire(message_type)
+        self.decode: Callable[[bytes | memoryview], M] = decoder(message_type).decode
         self._check = _message_check(message_type)
         self.encode_into = _encode_into(self._check, self.name)
 
@@ -78,21 +74,26 @@ def codec(message_type: type[M]) -> Codec[M]:
     return typing.cast("Codec[M]", _cached(message_type))
 
 
-def _bound_integers(message_type: type[Message]) -> None:
-    """Have its decoder, yet to be made, refuse integers beyond 64 signed bits: msgpack also knows unsigned ones."""
-    for field, annotation in typing.get_type_hints(message_type).items():
-        message_type.__annotations__[field] = _bounded(annotation)
+def _put_on_wire(message_type: type[Message]) -> None:
+    """Have its decoder, yet to be made, see fields as it has to take them.
+
+    That is integers of 64 signed bits, as msgpack also knows unsigned ones, and arrays of ``WIRE_TYPES``.
+    """
+    for field, annotation in field_types(message_type).items():
+        message_type.__annotations__[field] = _on_wire(annotation)
 
 
-def _bounded(annotation: Any) -> Any:
+def _on_wire(annotation: Any) -> Any:
     if annotation is int:
         return _Integer
+    if (kind := array_kind(annotation)) is not None:
+        return WIRE_TYPES[kind]
     if isinstance(annotation, type) and issubclass(annotation, Message):
-        _bound_integers(annotation)
+        _put_on_wire(annotation)
     if (inner := list_type(annotation)) is not None:
-        return list[_bounded(inner)]  # type: ignore[misc]
+        return list[_on_wire(inner)]  # type: ignore[misc]
     if (inner := optional_type(annotation)) is not None:
-        return _bounded(inner) | None
+        return _on_wire(inner) | None
     return annotation
 
 
@@ -101,15 +102,14 @@ def _bounded(annotation: Any) -> Any:
 
 
 def _message_check(message_type: type[Message]) -> _Check | None:
-    hints = typing.get_type_hints(message_type)
     checks: list[tuple[str, _Check]] = []
     arrays: list[tuple[str, np.dtype[Any], _Check]] = []
     integers: list[str] = []
-    for field in message_type.__struct_fields__:
-        check = _field_check(hints[field])
-        if check and hints[field] in _ELEMENTS:
-            arrays.append((field, _ELEMENTS[hints[field]], check))
-        elif hints[field] is int:
+    for field, annotation in field_types(message_type).items():
+        check = _field_check(annotation)
+        if check and (kind := array_kind(annotation)) is not None:
+            arrays.append((field, kind.value, check))
+        elif annotation is int:
             integers.append(field)
         elif check:
             checks.append((field, check))
@@ -137,8 +137,8 @@ def _field_check(annotation: Any) -> _Check | None:
         return _message_check(annotation)
     if annotation is int:
         return _check_integer
-    if annotation in _ELEMENTS:
-        return _array_check(_ELEMENTS[annotation])
+    if (kind := array_kind(annotation)) is not None:
+        return _array_check(kind.value)
     if (inner := list_type(annotation)) is not None:
         return _list_check(_field_check(inner))
     if (inner := optional_type(annotation)) is not None:

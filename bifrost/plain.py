@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from bifrost.errors import SchemaError
-from bifrost.messages import FLOAT64, UINT8, Float64Array, M, Message, Uint8Array
-from bifrost.schema import list_type, optional_type
+from bifrost.messages import M, Message
+from bifrost.schema import array_kind, field_types, list_type, optional_type
 
 
 def to_builtins(value: Any) -> Any:
@@ -47,15 +47,13 @@ def _message(message_type: type[Message], value: object, where: str) -> Message:
     for name in fields:
         if name not in value:
             raise SchemaError(f"{where}.{name} is missing")
-    hints = typing.get_type_hints(message_type)
-    return message_type(*(_field(hints[name], value[name], f"{where}.{name}") for name in fields))
+    types = field_types(message_type)
+    return message_type(*(_field(types[name], value[name], f"{where}.{name}") for name in fields))
 
 
 def _field(annotation: Any, value: Any, where: str) -> Any:
-    if annotation == Float64Array:
-        return _array(value, FLOAT64, where)
-    if annotation == Uint8Array:
-        return _array(value, UINT8, where)
+    if (kind := array_kind(annotation)) is not None:
+        return _array(value, kind.value, where)
     if (inner := list_type(annotation)) is not None:
         if not isinstance(value, list):
             raise SchemaError(f"{where}: expected a list, got {value!r}")

@@ -7,12 +7,13 @@ import json
 import types
 import typing
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import msgspec
 
 from bifrost.errors import SchemaError
-from bifrost.messages import Float64Array, Message, Uint8Array
+from bifrost.messages import ArrayKind, Float64Array, Message, Uint8Array
 
 _PLAIN: dict[str, Any] = {
     "int": int,
@@ -56,6 +57,25 @@ def schema_of(message_type: type[Message]) -> Schema:
     return Schema(message_type.__name__, described)
 
 
+@cache
+def field_types(message_type: type[Message]) -> Mapping[str, Any]:
+    """The annotations of a message type's fields, as they were declared, whatever codecs make of them."""
+    types = typing.get_type_hints(message_type, include_extras=True)
+    for base in message_type.__bases__:
+        if issubclass(base, Message):
+            types |= {
+                name: kind for name, kind in field_types(base).items() if name not in message_type.__annotations__
+            }
+    return {name: types[name] for name in message_type.__struct_fields__}
+
+
+def array_kind(annotation: Any) -> ArrayKind | None:
+    """The mark of an array field; None for every other annotation."""
+    if typing.get_origin(annotation) is not typing.Annotated:
+        return None
+    return next((mark for mark in annotation.__metadata__ if isinstance(mark, ArrayKind)), None)
+
+
 def optional_type(annotation: Any) -> Any:
     """``T`` of ``T | None``; None for every other annotation."""
     arguments = typing.get_args(annotation)
@@ -80,16 +100,17 @@ def _describe(
     if name in described:
         return
     fields = described[name] = []
-    hints = typing.get_type_hints(message_type)
-    for field in message_type.__struct_fields__:
-        fields.append([field, _describe_type(hints[field], described, classes, f"{name}.{field}")])  # noqa: PERF401
+    for field, annotation in field_types(message_type).items():
+        fields.append([field, _describe_type(annotation, described, classes, f"{name}.{field}")])
 
 
 def _describe_type(
     annotation: Any, described: dict[str, list[list[str]]], classes: dict[str, type[Message]], where: str
 ) -> str:
+    if (kind := array_kind(annotation)) is not None:
+        return f"{kind.value.name}[]"
     for text, plain in _PLAIN.items():
-        if annotation == plain:
+        if annotation is plain:
             return text
     if (inner := list_type(annotation)) is not None:
         return f"list<{_describe_type(inner, described, classes, where)}>"

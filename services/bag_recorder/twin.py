@@ -12,9 +12,9 @@ import struct
 from collections.abc import Callable
 from enum import Enum
 from operator import attrgetter
-from typing import Any, get_type_hints
+from typing import Any
 
-from bifrost import Float64Array, Message, Received, Uint8Array
+from bifrost import Message, Received, codec
 
 PACKAGE = "valor_msgs"
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian, no options
@@ -31,14 +31,14 @@ class _Kind(Enum):
     FLOATS = "float64[]"
 
 
-_KINDS: dict[Any, _Kind] = {
-    bool: _Kind.BOOL,
-    int: _Kind.INT,
-    float: _Kind.FLOAT,
-    str: _Kind.STRING,
-    list[str]: _Kind.STRINGS,
-    Uint8Array: _Kind.BYTES,
-    Float64Array: _Kind.FLOATS,
+_KINDS: dict[str, _Kind] = {  # by what Bifrost's schemas call them
+    "bool": _Kind.BOOL,
+    "int": _Kind.INT,
+    "float": _Kind.FLOAT,
+    "str": _Kind.STRING,
+    "list<str>": _Kind.STRINGS,
+    "uint8[]": _Kind.BYTES,
+    "float64[]": _Kind.FLOATS,
 }
 
 
@@ -57,13 +57,11 @@ class TwinEncoder:
     LAYOUTS = 256  # kept; free text makes ever new lengths
 
     def __init__(self, message_type: type[Message]) -> None:
-        hints = get_type_hints(message_type)
         self._kinds: list[_Kind] = []
-        for name in message_type.__struct_fields__:
-            try:
-                self._kinds.append(_KINDS[hints[name]])
-            except (KeyError, TypeError):
-                raise TypeError(f"{message_type.__name__}.{name}: {hints[name]} has no ROS twin") from None
+        for name, type_name in codec(message_type).schema.types[message_type.__name__]:
+            if type_name not in _KINDS:
+                raise TypeError(f"{message_type.__name__}.{name}: {type_name} has no ROS twin")
+            self._kinds.append(_KINDS[type_name])
         names = message_type.__struct_fields__
         self._values: Callable[[Message], tuple[Any, ...]] = (
             attrgetter(*names) if len(names) > 1 else lambda message: tuple(getattr(message, n) for n in names)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import struct
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bifrost import Float64Array, Message, Received, Uint8Array
+from bifrost import Message, Received, codec
 from valor.bag_recorder.definitions import UnknownTypeError, definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.common.messages import Footstep, FootstepPlanRequest, Motor
@@ -24,14 +24,14 @@ MESSAGES = sorted({topic.type for topic in TOPICS}, key=lambda message: message.
 ENCODERS = {message: TwinEncoder(message) for message in MESSAGES}
 SECOND = 1_000_000_000
 TEXT = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=20)
-VALUES: dict[Any, st.SearchStrategy[Any]] = {
-    bool: st.booleans(),
-    int: st.integers(-(2**63), 2**63 - 1),
-    float: st.floats(),
-    str: TEXT,
-    list[str]: st.lists(TEXT, max_size=5),
-    Float64Array: st.lists(st.floats(), max_size=9).map(lambda values: np.array(values, np.float64)),
-    Uint8Array: st.binary(max_size=9).map(lambda values: np.frombuffer(values, np.uint8)),
+VALUES: dict[str, st.SearchStrategy[Any]] = {
+    "bool": st.booleans(),
+    "int": st.integers(-(2**63), 2**63 - 1),
+    "float": st.floats(),
+    "str": TEXT,
+    "list<str>": st.lists(TEXT, max_size=5),
+    "float64[]": st.lists(st.floats(), max_size=9).map(lambda values: np.array(values, np.float64)),
+    "uint8[]": st.binary(max_size=9).map(lambda values: np.frombuffer(values, np.uint8)),
 }
 
 
@@ -44,8 +44,8 @@ def typestore() -> Any:
 
 
 def of(message: type[Message]) -> st.SearchStrategy[Message]:
-    hints = get_type_hints(message)
-    return st.builds(message, **{name: VALUES[hints[name]] for name in message.__struct_fields__})
+    fields = codec(message).schema.types[message.__name__]
+    return st.builds(message, **{name: VALUES[type_name] for name, type_name in fields})
 
 
 def same(one: object, other: object) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import bifrost
-from bifrost.messages import Message
-from bifrost.schema import Schema, schema_of, type_from_schema
+from bifrost.messages import ArrayKind, Message
+from bifrost.schema import Schema, field_types, schema_of, type_from_schema
 
 
 class Inner(bifrost.Message):
@@ -199,6 +199,39 @@ def test_arrays_that_are_not_contiguous_are_sent_in_order() -> None:
     assert decoded.values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
+class Marked(bifrost.Message):
+    """Arrays by the mark alone: what stands before it is as unlike NumPy's aliases as it may become."""
+
+    reals: Annotated[object, ArrayKind.FLOAT64]
+    octets: Annotated[object, ArrayKind.UINT8]
+    many: list[Annotated[object, ArrayKind.UINT8]]
+    maybe: Annotated[object, ArrayKind.FLOAT64] | None
+
+
+def test_an_array_is_known_by_its_mark_alone() -> None:
+    codec = bifrost.codec(Marked)
+    assert [text for _, text in codec.schema.types["Marked"]] == ["float64[]", "uint8[]", "list<uint8[]>", "float64[]?"]
+    message = Marked(np.arange(3.0), np.arange(8, dtype=np.uint8), [np.zeros(16, np.uint8)], np.ones(1))
+    for again in (codec.decode(codec.encode(message)), bifrost.from_builtins(Marked, bifrost.to_builtins(message))):
+        assert again == message
+        assert again.reals.dtype == again.maybe.dtype == np.float64
+        assert again.octets.dtype == again.many[0].dtype == np.uint8
+    for field, wrong in {"reals": np.zeros(8, np.uint8), "octets": np.zeros(1), "maybe": np.zeros(8, np.uint8)}.items():
+        with pytest.raises(TypeError, match=rf"Marked\.{field}: expected a one-dimensional"):
+            codec.encode(msgspec.structs.replace(message, **{field: wrong}))
+
+
+def test_the_fields_of_a_type_are_those_declared_whatever_its_codec_made_of_them() -> None:
+    assert bifrost.codec(Marked).schema == schema_of(Marked)
+    assert field_types(Counted)["one"] is int
+
+    class More(Everything):
+        inner: Counted  # type: ignore[assignment]
+
+    declared = dict(CODEC.schema.types["Everything"]) | {"inner": "Counted"}
+    assert dict(schema_of(More).types["More"]) == declared
+
+
 def _type(name: str, *fields: tuple[str, Any]) -> type[Message]:
     return msgspec.defstruct(name, fields, bases=(Message,), array_like=True, gc=False, eq=False)  # type: ignore[return-value]
 
@@ -226,6 +259,30 @@ def test_the_hash_is_what_the_documentation_says() -> None:
     schema = schema_of(_type("Temperature", ("celsius", float), ("history", bifrost.Float64Array)))
     assert schema == Schema("Temperature", {"Temperature": [["celsius", "float"], ["history", "float64[]"]]})
     assert schema.digest().hex() == "3d922996398d4d0a"
+
+
+def test_the_bytes_are_what_the_documentation_says() -> None:
+    """Fixed for ever, likewise: every type of field in turn."""
+    message = Everything(
+        -2,
+        0.5,
+        True,
+        "é",
+        b"\1",
+        np.array([1.0]),
+        np.array([7, 8], np.uint8),
+        Inner(np.zeros(0), "i"),
+        [],
+        ["n"],
+        None,
+        2.0,
+    )
+    assert CODEC.hash.hex() == "19bc48ec93e2d12c"
+    assert CODEC.encode(message).hex(" ") == (
+        "9c fe cb 3f e0 00 00 00 00 00 00 c3 a2 c3 a9 c4 01 01 "
+        "c4 08 00 00 00 00 00 00 f0 3f c4 02 07 08 "  # arrays: little-endian, msgpack: big
+        "92 c4 00 a1 69 90 91 a1 6e c0 cb 40 00 00 00 00 00 00 00"
+    )
 
 
 @pytest.mark.parametrize("field", [dict, set, "np", tuple[int, ...], int | str, complex])

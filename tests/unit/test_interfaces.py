@@ -6,11 +6,10 @@ import re
 import sys
 import tomllib
 from pathlib import Path
-from typing import get_type_hints
 
 import pytest
 
-from bifrost import Float64Array, Message, Uint8Array
+from bifrost import Message, codec
 from valor.common.messages import JointMode
 from valor.common.topics import TOPICS
 
@@ -18,14 +17,14 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 INTERFACES = REPOSITORY / "interfaces"
 TWINS = INTERFACES / "valor_msgs" / "msg"
 HEADER = [("std_msgs/Header", "header"), ("uint64", "bifrost_sequence")]
-ROS_TYPES: dict[object, str] = {
-    bool: "bool",
-    int: "int64",
-    float: "float64",
-    str: "string",
-    list[str]: "string[]",
-    Float64Array: "float64[]",
-    Uint8Array: "uint8[]",
+ROS_TYPES = {
+    "bool": "bool",
+    "int": "int64",
+    "float": "float64",
+    "str": "string",
+    "list<str>": "string[]",
+    "float64[]": "float64[]",
+    "uint8[]": "uint8[]",
 }
 
 
@@ -48,8 +47,8 @@ def published() -> list[type[Message]]:
 
 @pytest.mark.parametrize("message", published(), ids=lambda message: message.__name__)
 def test_every_published_message_has_a_twin_of_the_same_fields(message: type[Message]) -> None:
-    hints = get_type_hints(message, include_extras=True)
-    expected = HEADER + [(ROS_TYPES[hints[name]], name) for name in message.__struct_fields__]
+    described = codec(message).schema.types[message.__name__]
+    expected = HEADER + [(ROS_TYPES[type_name], name) for name, type_name in described]
     fields, _ = twin_fields(TWINS / f"{message.__name__}.msg")
     assert fields == expected
 
