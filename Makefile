@@ -1,4 +1,4 @@
-# make setup | demo | test | lint | bench. Everything is installed from PyPI into .venv; see README.md.
+# make setup | demo | test | lint | bench | dist. Everything is installed from PyPI into .venv; see README.md.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 PYTHON ?= python3
@@ -10,7 +10,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/interfaces.stamp
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test lint bench lock clean
+.PHONY: setup demo test lint bench lock dist clean
 
 setup: $(STAMP)
 
@@ -24,7 +24,7 @@ $(STAMP): pyproject.toml requirements.txt $(WHEELS)
 	rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
 	$(UV) pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes requirements.txt
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces build/wheels/*.whl
-	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable .
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost
 	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
 	$(BIN)/python -m compileall -q bifrost services valor tests
 	touch $@
@@ -74,10 +74,20 @@ bench: $(STAMP)
 # Versions and hashes of all that is installed, from the bounds in pyproject.toml.
 lock:
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
-	  --group dev pyproject.toml -o requirements.txt
+	  --no-emit-package valor-bifrost --no-emit-package valor-interfaces --group dev pyproject.toml -o requirements.txt
 	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('interfaces/pyproject.toml', 'rb'))['build-system']['requires'], 'cmake', 'ninja', sep='\n')" | \
 	  $(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --no-annotate \
 	  --python-version 3.11 - -o interfaces/build-constraints.txt
 
+# Source distributions, and the wheels that they build into; that of the message packages, for .venv's Python alone, is there.
+dist: $(STAMP)
+	rm -rf dist
+	for project in . bifrost; do $(UV) build --quiet --python $(BIN)/python $$project -o dist; done
+	$(UV) build --quiet --sdist --python $(BIN)/python --require-hashes \
+	  --build-constraints interfaces/build-constraints.txt interfaces -o dist
+	cp build/wheels/*.whl dist
+	$(UV) tool run --quiet --python $(BIN)/python --from 'twine>=6.1' twine check --strict dist/*.whl dist/*.tar.gz
+	@du -h dist/*.whl dist/*.tar.gz
+
 clean:
-	rm -rf build $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf build dist $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis

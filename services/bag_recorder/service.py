@@ -14,6 +14,7 @@ from valor.bag_recorder.ros_tap import RosTap
 from valor.bag_recorder.shelf import Shelf, told
 from valor.common.errors import ConfigurationError
 from valor.common.messages import MotionState, SnapReply, SnapRequest
+from valor.common.resources import REPAIR
 from valor.common.selection import Selection
 from valor.common.service import Context, quiet_collector
 from valor.common.topics import MOTION_STATE, SNAP
@@ -44,7 +45,7 @@ class BagRecorder:
         try:
             self._bifrost = BifrostTap(context.node, self._clock, selection=selection)
         except UnknownTypeError as error:
-            raise ConfigurationError(f"{error}; expected the packages of `make setup`") from None
+            raise ConfigurationError(f"{error}: {REPAIR}") from None
         self._ros = RosTap(context.settings.ros_domain_id, self._clock, selection)
         self._snaps = context.node.server(SNAP.name, SnapRequest, SnapReply, self._snap)
         self._recording: Continuous | LastSeconds

@@ -1,6 +1,6 @@
 """Where the things are that are not code: robots, profiles, examples.
 
-They lie at the root of a checkout, and under ``valor/common/data`` once installed from a wheel.
+They lie at the root of a checkout, and under ``data`` beside this module once installed from a wheel.
 """
 
 from __future__ import annotations
@@ -10,22 +10,25 @@ from pathlib import Path
 from valor.common.errors import ConfigurationError, expected
 
 _PACKAGE = Path(__file__).resolve().parent
-_CHECKOUT = _PACKAGE.parents[1]
-
-
-def _root() -> Path:
-    """The folder that holds ``robots`` and ``deploy``."""
-    return _CHECKOUT if (_CHECKOUT / "pyproject.toml").is_file() else _PACKAGE / "data"
+_INSTALLED = _PACKAGE / "data"
+IN_CHECKOUT = not _INSTALLED.is_dir()  # else installed from a wheel
+REPAIR = "run `make setup`" if IN_CHECKOUT else "`pip check` says what is missing"  # where a package is not there
+_ROOT = _PACKAGE.parents[1] if IN_CHECKOUT else _INSTALLED
 
 
 def robots() -> list[str]:
     """Names of our robots."""
-    return sorted(file.parent.name for file in (_root() / "robots").glob("*/robot.yaml"))
+    return sorted(file.parent.name for file in (_ROOT / "robots").glob("*/robot.yaml"))
 
 
 def profiles() -> list[str]:
     """Names of our profiles."""
-    return sorted(file.stem for file in (_root() / "deploy").glob("*.yaml"))
+    return sorted(file.stem for file in (_ROOT / "deploy").glob("*.yaml"))
+
+
+def plans() -> list[str]:
+    """Names of our footstep plans."""
+    return sorted(file.stem for file in (_ROOT / "examples" / "plans").glob("*.yaml"))
 
 
 def robot_folder(robot: str) -> Path:
@@ -36,7 +39,7 @@ def robot_folder(robot: str) -> Path:
     """
     known = robots()
     if robot in known:
-        return _root() / "robots" / robot
+        return _ROOT / "robots" / robot
     folder = Path(robot).expanduser()
     if (folder / "robot.yaml").is_file():
         return folder.resolve()
@@ -53,7 +56,7 @@ def profile_file(profile: str) -> Path:
     """
     known = profiles()
     if profile in known:
-        return _root() / "deploy" / f"{profile}.yaml"
+        return _ROOT / "deploy" / f"{profile}.yaml"
     file = Path(profile).expanduser()
     if file.suffix == ".yaml" and file.is_file():
         return file.resolve()
@@ -62,16 +65,31 @@ def profile_file(profile: str) -> Path:
 
 def middleware_profile() -> Path:
     """Fast DDS' configuration for an instance that lives on one computer."""
-    return _root() / "deploy" / "fastdds.xml"
+    return _ROOT / "deploy" / "fastdds.xml"
 
 
 def example_file(name: str) -> Path:
-    """A program of ``examples``, which come with a checkout only.
+    """A file of ``examples``.
 
     Raises:
         ConfigurationError: no such file here.
     """
-    file = _CHECKOUT / "examples" / name
+    file = _ROOT / "examples" / name
     if not file.is_file():
-        raise ConfigurationError(f"{file}: not found; the examples come with a checkout of the repository")
+        raise ConfigurationError(f"{file}: not found; the installation is incomplete")
     return file
+
+
+def plan_file(plan: str) -> Path:
+    """The file of a footstep plan: one of ``examples/plans`` by name, or any other by its path.
+
+    Raises:
+        ConfigurationError: no such plan; lists those known.
+    """
+    known = plans()
+    if plan in known:
+        return _ROOT / "examples" / "plans" / f"{plan}.yaml"
+    file = Path(plan).expanduser()
+    if file.is_file():
+        return file
+    raise ConfigurationError(f"plan {expected(plan, known, 'a file, or ')}")

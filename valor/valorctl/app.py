@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from valor.valorctl import completion
+from valor.valorctl.console import say
 from valor.valorctl.verbs import bags, demonstration, diagnosis, experiments, lifecycle, motion, observation, step
 
 # Verbs of Bifrost itself; loaded when used.
@@ -85,6 +86,14 @@ for _group in (lifecycle, observation, motion, step, bags, demonstration, experi
     _group.register(app)
 
 
+def _tell_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        say(f"valor {version('valor')}")
+        raise typer.Exit
+
+
 @app.callback()
 def _shared(
     instance: Annotated[
@@ -95,6 +104,9 @@ def _shared(
             autocompletion=completion.instances,
         ),
     ] = None,
+    version: Annotated[  # its callback does it
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which version this is.")
+    ] = False,
 ) -> None:
     if instance is not None:
         os.environ["VALOR_INSTANCE"] = instance

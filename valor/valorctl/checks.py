@@ -22,6 +22,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.priority import granted, own_core
 from valor.common.processes import PROCESSES
+from valor.common.resources import IN_CHECKOUT, REPAIR
 from valor.valorctl import leftovers, ros_domain, supervisor_config
 from valor.valorctl.supervision import Supervisor
 
@@ -89,7 +90,7 @@ def _rendering(_: Instance) -> Finding:
 def _ros(_: Instance) -> Finding:
     problem = _run(_ROS)
     if problem:
-        return Finding("ros", "fail", f"ROS 2 is not importable: {problem}", "run `make setup`")
+        return Finding("ros", "fail", f"ROS 2 is not importable: {problem}", REPAIR)
     return Finding("ros", "ok", "rclpy and all message packages are importable")
 
 
@@ -242,7 +243,7 @@ def _leftovers(_: Instance) -> Finding:
 
 CHECKS: tuple[Callable[[Instance], Finding], ...] = (
     _python,
-    _compiler,
+    *((_compiler,) if IN_CHECKOUT else ()),
     _ros,
     _rendering,
     _multicast,

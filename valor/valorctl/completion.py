@@ -45,6 +45,14 @@ def robots(incomplete: str) -> Iterable[str]:
 
 
 @_named
+def plans(incomplete: str) -> Iterable[str]:
+    """For ``step``."""
+    from valor.common.resources import plans
+
+    return _begun(incomplete, plans())
+
+
+@_named
 def worlds(incomplete: str) -> Iterable[str]:
     """For ``--world``."""
     from valor.common.world_names import WORLD_NAMES

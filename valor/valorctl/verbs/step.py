@@ -9,6 +9,8 @@ import typer
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.common.resources import plan_file, plans
+from valor.valorctl import completion
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
 
@@ -19,7 +21,10 @@ def register(app: typer.Typer) -> None:
 
 
 def step(
-    plan: Annotated[Path | None, typer.Argument(help="A plan, as in examples/plans.")] = None,
+    plan: Annotated[
+        str | None,
+        typer.Argument(help=f"A plan's file, or one of {', '.join(plans())}.", autocompletion=completion.plans),
+    ] = None,
     to: Annotated[
         tuple[float, float, float] | None,
         typer.Option("--to", metavar="X Y YAW", help="Where the middle of the feet shall go, in odom [m, m, rad]."),
@@ -33,8 +38,8 @@ def step(
     from valor.valorctl import status, step_picture, step_plan, stepping
 
     if (plan is None) == (to is None):
-        raise ValorError("expected a plan's file, or --to X Y YAW")
-    file = step_plan.load(plan) if plan is not None else None
+        raise ValorError("expected a plan, or --to X Y YAW")
+    file = step_plan.load(plan_file(plan)) if plan is not None else None
     instance = Instance.from_environment()
     status.require_up(instance)
     with Interruption() as interruption:
