@@ -42,6 +42,19 @@ def test_walks_a_metre_of_dirt_and_leaves_figures_pictures_and_nothing_else(syst
     assert leftovers(home, system.name, before) == []
 
 
+def test_of_two_at_once_the_second_is_refused_and_the_files_of_the_first_stay(system: System, home: Path) -> None:
+    file = home / "out" / "walk.mcap"
+    file.parent.mkdir()
+    file.write_bytes(b"of the first")
+    system.valorctl("up", "--profile", "bifrost")
+    try:
+        told = system.valorctl(*ARGUMENTS, "--out", str(home / "out"), expect=1).stderr
+    finally:
+        system.valorctl("down")
+    assert f"is up already; `valorctl down --instance {system.name}` first" in told
+    assert file.read_bytes() == b"of the first"
+
+
 def test_ctrl_c_on_the_way_leaves_nothing_running(system: System, home: Path) -> None:
     before = shared_memory()
     command = [str(VALORCTL), *ARGUMENTS, "--distance", "20", "--out", str(home / "out")]

@@ -161,6 +161,12 @@ def test_down_says_how_to_get_up(
     assert "`valorctl up --instance lab`" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("options", [["--out", "x"], ["--robot", "thor"], ["--rtf", "0"]])
+def test_options_of_demo_walk_are_expected_behind_it(options: list[str]) -> None:
+    result = CliRunner().invoke(app, ["demo", *options, "walk", "--distance", "1"])
+    assert str(result.exception) == "options of `demo walk` are expected behind it"
+
+
 def test_the_environment_survives_a_shell(tmp_path: Path) -> None:
     home = tmp_path / 'it\'s a $HOME; with "quotes" `x`'
     instance = Instance("x", home)

@@ -1,69 +1,65 @@
-"""``demo``: a system of its own, a ROS client that makes the robot do something, one bag, and pictures of it."""
+"""What demonstrations do alike: a system of their own, one bag, pictures of it, and nothing that goes on running."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
+import shutil
 import sys
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from valor.common import worlds
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.resources import example_file
-from valor.common.robot import RobotDescription
-from valor.valorctl import instance_setup, shutdown, startup
-from valor.valorctl.console import Progress
+from valor.common.worlds.dirt import Dirt
+from valor.valorctl import instance_setup, shutdown, startup, walking
+from valor.valorctl.console import Progress, bar, say
 from valor.valorctl.interruption import InterruptedBySignalError, Interruption
 
-NAME = "demo"
-PROGRAM = "stand_and_reach.py"
-GROUPS = ("right_arm", "neck")
+WORLD = "dirt"
+SPEED = 0.4  # forward, unless another is asked for [m/s]
 
-_PROGRAM_TIMEOUT = 300.0  # [s]
+Drawing = tuple[str, Callable[[], list[Path]]]  # what is drawn, and who makes which files
 
 
-def run(instance: Instance, robot: str | None, out: Path, progress: Progress, interruption: Interruption) -> None:
-    """Run the demonstration, and tell where bag, measurements and pictures are. Nothing goes on running behind it.
+def course() -> float:
+    """From the start to the finish line [m]."""
+    world = worlds.WORLDS[WORLD]
+    assert isinstance(world, Dirt)
+    return world.course
 
-    Args:
-        instance: of the demonstration's own.
-        robot: a name of ``robots/``, or a folder; None: the profile's.
-        out: the folder for what it leaves.
-        progress: told how it goes on.
-        interruption: ends it early.
 
-    Raises:
-        ValorError: a part of it failed; says which.
-    """
-    program = example_file(PROGRAM)
-    bag, measurements = prepare(out, "demo.mcap", "demo.json")
-    failure: ValorError | None = None
-    request = instance_setup.Request(robot=robot, actuators="hardware", bag=bag)
-    with running(instance, request, progress, interruption) as settings:
+class Failures:
+    """The first thing that went wrong, kept while all that can still be done is done."""
+
+    def __init__(self) -> None:
+        self._first: ValorError | None = None
+
+    @contextlib.contextmanager
+    def kept(self) -> Iterator[None]:
+        """Keep what is raised inside, unless the user wants to stop."""
         try:
-            _run_client(instance, program, measurements, interruption)
+            yield
         except InterruptedBySignalError:
             raise
         except ValorError as error:
-            failure = error  # the pictures may show why
-    try:
-        made = _draw(bag, RobotDescription.load(settings.robot), out, progress, interruption)
-    except ValorError as error:
-        raise failure or error from None
-    tell([bag, measurements, *made], progress)
-    if failure:
-        raise failure
+            self._first = self._first or error
+
+    def tell(self) -> None:
+        """Raise the first, if there was one."""
+        if self._first:
+            raise self._first
 
 
-def prepare(out: Path, *names: str) -> list[Path]:
+def prepare(instance: Instance, out: Path, *names: str) -> list[Path]:
     """Make the folder for what a demonstration leaves, and remove what an earlier one left under these names.
 
     Raises:
-        ValorError: the folder cannot be written.
+        ValorError: the instance is up, perhaps with another demonstration that writes there; the folder cannot be
+            written.
     """
+    startup.refuse_if_up(instance)
     files = [out / name for name in names]
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -89,51 +85,42 @@ def running(
         progress.done("everything is shut down")
 
 
+def walk(instance: Instance, order: walking.Order, progress: Progress, interruption: Interruption) -> None:
+    """Walk a distance, with a bar.
+
+    Raises:
+        ValorError: the robot did not get there; says why.
+    """
+    assert order.distance is not None
+    with bar("walking", order.distance, "m") as at:
+        walked = walking.walk(instance, order, interruption.check, lambda _, way: at(way))
+    if walked.reason:
+        raise ValorError(f"walked {walked.describe()}, then {walked.reason}")
+    progress.done(f"walked {walked.describe()}")
+
+
+def draw(drawings: Iterable[Drawing], failures: Failures, progress: Progress, interruption: Interruption) -> list[Path]:
+    """Make pictures, from the bag alone; one that fails does not keep the others from being made."""
+    made: list[Path] = []
+    for what, function in drawings:
+        progress.waiting(f"drawing {what}")
+        with failures.kept():
+            made += function()
+        interruption.check()
+    return made
+
+
 def tell(files: Iterable[Path], progress: Progress) -> None:
     """Say which files there are."""
     for file in files:
-        progress.done(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+        if file.exists():
+            progress.done(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
 
 
-def _run_client(instance: Instance, program: Path, measurements: Path, interruption: Interruption) -> None:
-    """Run the client as anybody's program would run: with the instance's environment and nothing else of ours."""
-    # A session of its own: Ctrl-C comes to us alone, and we end it in good order.
-    client = subprocess.Popen(
-        [sys.executable, str(program), "--json", str(measurements)],
-        env=os.environ | instance.environment(),
-        start_new_session=True,
-    )
-    deadline = time.monotonic() + _PROGRAM_TIMEOUT
-    try:
-        while client.poll() is None:
-            interruption.check()
-            if time.monotonic() > deadline:
-                raise ValorError(f"{program.name} did not end within {_PROGRAM_TIMEOUT:g} s")
-            time.sleep(0.05)
-    finally:
-        if client.poll() is None:
-            client.terminate()
-            try:
-                client.wait(5.0)
-            except subprocess.TimeoutExpired:
-                client.kill()
-                client.wait()
-    if client.returncode:
-        raise ValorError(f"{program.name} failed with exit status {client.returncode}")
-
-
-def _draw(bag: Path, robot: RobotDescription, out: Path, progress: Progress, interruption: Interruption) -> list[Path]:
-    """Pictures and plots from the bag alone."""
-    os.environ.setdefault("MUJOCO_GL", "egl")
-    from valor.analysis import pictures, plots
-    from valor.analysis.bag import Bag
-
-    made: list[Path] = []
-    progress.waiting("drawing the robot before and after")
-    recording = Bag.of(bag)
-    made += pictures.render_before_after(recording, robot, out)
-    interruption.check()
-    progress.waiting("plotting how well the joints followed")
-    made += plots.joint_tracking(recording, robot, GROUPS, out)
-    interruption.check()
-    return made
+def suggest(*commands: tuple[str, str]) -> None:
+    """Say what to try next: verbs with their arguments, and what they do."""
+    name = "valorctl" if shutil.which("valorctl") else os.path.relpath(sys.argv[0])
+    width = max(len(command) for command, _ in commands)
+    say("\nnext:")
+    for command, what in commands:
+        say(f"  {name} {command:{width}}  # {what}")

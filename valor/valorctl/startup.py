@@ -59,7 +59,7 @@ def refuse_if_up(instance: Instance) -> None:
     """Raise ``ValorError`` if the instance is up."""
     if supervisor_config.socket_file(instance).exists() and Supervisor(instance).answers():
         raise ValorError(
-            f"instance {instance.name!r} is up already; `valorctl down` first, "
+            f"instance {instance.name!r} is up already; `valorctl down --instance {instance.name}` first, "
             "or give the new one another name with --instance"
         )
 

@@ -84,7 +84,7 @@ def environment(instance: Instance, python: str, inherited: Mapping[str, str]) -
             PYTHON: python,
             FOLDER: str(instance.folder),
             "PYTHONUNBUFFERED": "1",
-            "MUJOCO_GL": "egl",
+            "MUJOCO_GL": "disable",  # no service draws, and `import mujoco` fails where EGL is asked for and absent
             # One thread each: pools of them fight over the cores that the control loops need.
             "OPENBLAS_NUM_THREADS": "1",
             "OMP_NUM_THREADS": "1",

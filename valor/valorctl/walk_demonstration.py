@@ -3,38 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from valor.common import worlds
-from valor.common.errors import ValorError
 from valor.common.instance import ClockMode, Instance
 from valor.common.robot import RobotDescription
-from valor.common.worlds.dirt import Dirt
 from valor.valorctl import demonstration, walking
-from valor.valorctl.console import Progress, bar, say_rows
+from valor.valorctl.console import Progress, say_rows
 from valor.valorctl.instance_setup import Request
-from valor.valorctl.interruption import InterruptedBySignalError, Interruption
+from valor.valorctl.interruption import Interruption
 
 NAME = "demo-walk"
-WORLD = "dirt"
-SPEED = 0.4  # unless another is asked for [m/s]
 
 _BAG, _FIGURES = "walk.mcap", "walk.json"
 
 
-def course() -> float:
-    """From the start to the finish line [m]."""
-    world = worlds.WORLDS[WORLD]
-    assert isinstance(world, Dirt)
-    return world.course
-
-
 @dataclass(frozen=True)
 class Course:
-    """What is to be walked, and how time runs meanwhile."""
+    """What is to be walked, by whom, and how time runs meanwhile."""
 
+    robot: str | None  # a name of ``robots/``, or a folder; None: the profile's
     distance: float  # [m]
     speed: float  # [m/s]
     seed: int
@@ -56,37 +45,26 @@ def run(instance: Instance, wanted: Course, out: Path, progress: Progress, inter
         ValorError: the robot did not get there, or a part failed; says which.
     """
     order = walking.Order(forward=wanted.speed, distance=wanted.distance, straight=True)
-    bag, figures = demonstration.prepare(out, _BAG, _FIGURES)
+    bag, figures = demonstration.prepare(instance, out, _BAG, _FIGURES)
     request = Request(
-        actuators="hardware", world=WORLD, seed=wanted.seed, clock=wanted.clock,
+        robot=wanted.robot, actuators="hardware", world=demonstration.WORLD, seed=wanted.seed, clock=wanted.clock,
         real_time_factor=wanted.real_time_factor, bag=bag,
     )  # fmt: skip
-    failure: ValorError | None = None
-    with demonstration.running(instance, request, progress, interruption) as settings:
-        try:
-            with bar("walking", wanted.distance, "m") as at:
-                walk = walking.walk(instance, order, interruption.check, lambda _, way: at(way))
-            progress.done(f"walked {walk.describe()}")
-            if walk.reason:
-                failure = ValorError(f"walked {walk.describe()}, then {walk.reason}")
-        except InterruptedBySignalError:
-            raise
-        except ValorError as error:
-            failure = error  # figures and pictures may show why
-    try:
-        made = _show(bag, figures, RobotDescription.load(settings.robot), progress, interruption)
-    except ValorError as error:
-        raise failure or error from None
+    failures = demonstration.Failures()
+    with demonstration.running(instance, request, progress, interruption) as settings, failures.kept():
+        demonstration.walk(instance, order, progress, interruption)
+    made: list[Path] = []
+    with failures.kept():
+        drawings = _evaluate(bag, figures, RobotDescription.load(settings.robot), progress)
+        made = demonstration.draw(drawings, failures, progress, interruption)
     demonstration.tell([bag, figures, *made], progress)
-    if failure:
-        raise failure
+    failures.tell()
 
 
-def _show(
-    bag: Path, figures_file: Path, robot: RobotDescription, progress: Progress, interruption: Interruption
-) -> list[Path]:
-    """Figures and pictures, from the bag alone."""
-    os.environ.setdefault("MUJOCO_GL", "egl")
+def _evaluate(
+    bag: Path, figures_file: Path, robot: RobotDescription, progress: Progress
+) -> list[demonstration.Drawing]:
+    """Figures, from the bag alone; returns what is to be drawn."""
     from valor.analysis import walk_plots
     from valor.analysis.bag import Bag
     from valor.analysis.recording import Recording
@@ -102,12 +80,6 @@ def _show(
     report = WalkReport(figures, Timeliness.of(recording, track))
     whole = {"distance_m": figures.distance, "duration_s": figures.duration, "fell": figures.fell}
     figures_file.write_text(json.dumps(whole | report.named(), indent=2) + "\n")
-    interruption.check()
-    made: list[Path] = []
-    for draw in (walk_plots.path, walk_plots.dynamics, walk_plots.picture):
-        progress.waiting(f"drawing the {draw.__name__}")
-        made += draw(recorded, robot, out=figures_file.parent)
-        interruption.check()
     progress.clear()
     say_rows(
         [
@@ -117,4 +89,7 @@ def _show(
             *report.rows(),
         ]
     )
-    return made
+    return [
+        (f"the {draw.__name__}", partial(draw, recorded, robot, figures_file.parent))
+        for draw in (walk_plots.path, walk_plots.dynamics, walk_plots.picture)
+    ]

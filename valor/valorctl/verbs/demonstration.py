@@ -8,8 +8,16 @@ from typing import Annotated
 
 import typer
 
+from valor.common.errors import ValorError
 from valor.common.instance import ClockMode, Instance
 from valor.valorctl.console import progress
+from valor.valorctl.verbs.lifecycle import ROBOT
+
+_OUT = Path("output/demo")
+Robot = Annotated[str | None, ROBOT]
+RealTimeFactor = Annotated[
+    float, typer.Option("--rtf", min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
+]
 
 demo = typer.Typer(name="demo", invoke_without_command=True, rich_markup_mode=None)
 
@@ -20,40 +28,44 @@ def register(app: typer.Typer) -> None:
 
 
 @demo.callback()
-def reach(
+def reach_and_walk(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="The folder for the bag and the pictures.")] = Path("output/demo"),
-    robot: Annotated[str | None, typer.Option(help="A name of robots/, or a folder.")] = None,
+    out: Annotated[Path | None, typer.Option(help=f"The folder for the bag and the pictures; else {_OUT}.")] = None,
+    robot: Robot = None,
+    rtf: RealTimeFactor = 1.0,
 ) -> None:
-    """Let the robot stand up and reach out in a system of its own; leaves a bag and pictures."""
+    """Let the robot stand up, reach out and walk onto the dirt in a system of its own; leaves a bag and pictures."""
     if context.invoked_subcommand is not None:
+        if out is not None or robot is not None or rtf != 1.0:
+            raise ValorError(f"options of `demo {context.invoked_subcommand}` are expected behind it")
         return
-    from valor.valorctl import demonstration
+    from valor.valorctl import reach_and_walk as demonstration
     from valor.valorctl.interruption import Interruption
 
     with progress() as shown, Interruption() as interruption:
-        demonstration.run(_instance(demonstration.NAME), robot, out.expanduser().absolute(), shown, interruption)
+        instance, folder = _instance(demonstration.NAME), (out or _OUT).expanduser().absolute()
+        demonstration.run(instance, demonstration.Wanted(robot, rtf), folder, shown, interruption)
 
 
 @demo.command()
 def walk(
     *,
     out: Annotated[Path, typer.Option(help="The folder for the bag and the pictures.")] = Path("output/demo_walk"),
+    robot: Robot = None,
     distance: Annotated[float | None, typer.Option(help="To the finish line unless given [m].")] = None,
     speed: Annotated[float | None, typer.Option(help="Forward [m/s].")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the course and of all that is random in the simulation.")] = 0,
     clock: Annotated[ClockMode, typer.Option(help="How simulated time runs.")] = "lockstep",
-    rtf: Annotated[
-        float, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
-    ] = 1.0,
+    rtf: RealTimeFactor = 1.0,
 ) -> None:
     """Walk the 61 m course of uneven dirt; leaves a bag, figures and pictures."""
-    from valor.valorctl import walk_demonstration
+    from valor.valorctl import demonstration, walk_demonstration
     from valor.valorctl.interruption import Interruption
 
     course = walk_demonstration.Course(
-        distance=walk_demonstration.course() if distance is None else distance,
-        speed=walk_demonstration.SPEED if speed is None else speed,
+        robot=robot,
+        distance=demonstration.course() if distance is None else distance,
+        speed=demonstration.SPEED if speed is None else speed,
         seed=seed,
         clock=clock,
         real_time_factor=rtf,
