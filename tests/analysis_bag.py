@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,11 @@ def write(
     pelvis: Callable[[float], tuple[Any, float]] = still,
 ) -> None:
     """Simulate and write ``path``, without a topic if one is named; the pelvis as in ``simulate``."""
+    write_messages(path, ((topic, message) for topic, message in simulate(robot, pelvis) if topic is not without))
+
+
+def write_messages(path: Path, messages: Iterable[tuple[Topic, Message]]) -> None:
+    """Write messages as the recorder names and types them, a millisecond of wall clock apart."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for file in sorted(DEFINITIONS.glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(), f"valor_msgs/msg/{file.stem}"))
@@ -120,9 +125,7 @@ def write(
     stamp_type = store.types["builtin_interfaces/msg/Time"]
     header_type = store.types["std_msgs/msg/Header"]
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for i, (topic, message) in enumerate(simulate(robot, pelvis)):
-            if topic is without:
-                continue
+        for i, (topic, message) in enumerate(messages):
             name = f"valor_msgs/msg/{topic.type.__name__}"
             if topic.name not in connections:
                 connections[topic.name] = writer.add_connection(f"/bifrost/{topic.name}", name, typestore=store)

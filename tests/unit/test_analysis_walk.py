@@ -1,0 +1,159 @@
+"""A walk from a bag: the same as from what an observer heard, its beginning and end, and where the feet stood."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from itertools import pairwise
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.analysis_bag import write_messages
+from tests.unit.test_walk_report import COUNT, LATE, ROBOT, SPEED, walk
+from valor.analysis.bag import Array, Bag
+from valor.analysis.errors import BagError
+from valor.analysis.recording import Recording
+from valor.analysis.walk import MOVING, SHORTEST_PRINT, WALKING, Figures, Timeliness, Track, _stands, footprints
+from valor.common.messages import ClockStatus, GroundTruth, MotionState
+from valor.common.model import full_model
+from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+
+PERIOD = 0.01  # of the truth [s]
+
+
+def altered(state: MotionState, **changes: object) -> MotionState:
+    content = {name: getattr(state, name) for name in MotionState.__struct_fields__}
+    return MotionState(**(content | changes))
+
+
+def recording(path: Path, *messages: object) -> Recording:
+    topics = {topic.type: topic for topic in (MOTION_STATE, PROPRIOCEPTOR, GROUND_TRUTH, CLOCK)}
+    write_messages(path, [(topics[type(message)], message) for message in messages])  # type: ignore[index, misc]
+    return Recording(Bag(path), ROBOT)
+
+
+def test_a_bag_tells_what_an_observer_heard(tmp_path: Path) -> None:
+    states, measured = walk()
+    heard = Track.heard(states, measured, ROBOT)
+    told = Track.of(recording(tmp_path / "walk.mcap", *states, *measured))
+    for field in fields(Track):
+        np.testing.assert_allclose(getattr(told, field.name), getattr(heard, field.name), err_msg=field.name)
+    assert Figures.of(told) == Figures.of(heard)
+
+
+def test_a_state_whose_measurement_nobody_heard_is_left_out_and_no_force_is_compared_across_it() -> None:
+    states, measured = walk()
+    whole = Track.heard(states, measured, ROBOT)
+    wild = altered(states[9], desired_foot_forces=np.full(2, 1e6))  # nobody hears what was felt a period later
+    part = Track.heard([*states[:9], wild, *states[10:]], measured[:10] + measured[11:], ROBOT)
+    assert part.sequence.tolist() == [*whole.sequence[:10], *whole.sequence[11:]]
+    figures = Figures.of(part)
+    assert figures.force_error == pytest.approx(Figures.of(whole).force_error)
+    assert figures.ticks == COUNT - 1
+
+
+def walked(behaviors: list[str], speeds: list[float]) -> Track:
+    states, measured = walk()
+    made = [altered(state, behavior=behavior, pelvis_linear_velocity_in_odom=np.array([0.0, speed, 0.0]))
+            for state, behavior, speed in zip(states, behaviors, speeds, strict=False)]  # fmt: skip
+    return Track.heard(made, measured, ROBOT)
+
+
+@pytest.mark.parametrize("behavior", WALKING)
+def test_a_walk_lasts_from_the_first_motion_to_the_last(behavior: str) -> None:
+    slow, fast = 0.9 * MOVING, 1.1 * MOVING
+    track = walked(["stand"] * 3 + [behavior] * 9 + ["stand"] * 3,
+                   [fast] * 3 + [slow] * 2 + [fast, slow, fast, fast] + [slow] * 3 + [fast] * 3)  # fmt: skip
+    assert track.walk() == (track.time[5], track.time[8])
+    part = track.between(*track.walk())
+    assert part.sequence.tolist() == track.sequence[5:9].tolist()
+    pieces = [track.between(track.time[a], track.time[b]) for a, b in ((0, 5), (6, 14))]
+    assert Track.joined(pieces).sequence.tolist() == track.sequence.tolist()
+
+
+def test_a_walk_ends_with_the_fall_and_not_where_the_robot_comes_to_rest() -> None:
+    track = walked(["fall", "walk", "walk", "walk", "fall", "fall", "walk"], [1.0] * 7)
+    assert track.walk() == (track.time[1], track.time[4])
+    assert Figures.of(track.between(*track.walk())).fell
+    assert not Figures.of(track.between(track.time[1], track.time[3])).fell
+
+
+@pytest.mark.parametrize(("behavior", "speed"), [("stand", 1.0), ("walk", 0.0)])
+def test_who_never_walked_or_never_moved_has_no_walk(behavior: str, speed: float) -> None:
+    with pytest.raises(BagError, match="never walked"):
+        walked([behavior] * 5, [speed] * 5).walk()
+
+
+def test_a_walk_of_no_time_has_no_speed() -> None:
+    states, measured = walk()
+    figures = Figures.of(Track.heard(states, measured, ROBOT))
+    assert figures.speed == pytest.approx(SPEED)
+    assert Figures(*[0.0 if field.name == "duration" else getattr(figures, field.name)
+                     for field in fields(Figures)]).speed == 0.0  # fmt: skip
+
+
+def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> None:
+    states, measured = walk()
+    clocks = [ClockStatus("lockstep", round(1e9 * k * 0.1), 1.0, 0.5 * k, k * k, False) for k in range(9)]
+    bag = recording(tmp_path / "clock.mcap", *states, *measured, *clocks)
+    track = Track.of(bag).between(0.2, 0.5)
+    assert Timeliness.of(bag, track) == Timeliness(0, 25 - 4, pytest.approx(1.5))
+    assert Timeliness.of(bag, Track.of(bag)).deadlines_missed == LATE
+    silent = recording(tmp_path / "no_clock.mcap", *states, *measured)
+    assert Timeliness.of(silent, track) == Timeliness(0, 0, 0.0)
+    assert Timeliness.heard([], track, ROBOT) == Timeliness(0, 0, 0.0)
+
+
+@given(st.lists(st.booleans(), max_size=30))
+def test_stands_are_the_runs_of_contact(touching: list[bool]) -> None:
+    runs = _stands(np.array(touching, dtype=bool))
+    covered = [i for first, last in runs for i in range(first, last + 1)]
+    assert covered == [i for i, each in enumerate(touching) if each]
+    assert all(before[1] + 1 < after[0] for before, after in pairwise(runs))
+
+
+def truth(k: int, pose: tuple[Array, Array], left: bool, right: bool) -> GroundTruth:
+    zeros = np.zeros(3)
+    return GroundTruth(
+        time=round(1e9 * k * PERIOD), pelvis_position_in_world=pose[0], pelvis_orientation_in_world=pose[1],
+        pelvis_linear_velocity_in_world=zeros, com_in_world=zeros, contacts=np.array([left, right], dtype=np.uint8),
+        joint_position=ROBOT.nominal_posture,
+    )  # fmt: skip
+
+
+def pose(k: int) -> tuple[Array, Array]:
+    """Of a pelvis that goes on and turns."""
+    turn = 0.02 * k
+    return np.array([0.01 * k, 0.3, 0.9]), np.array([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
+
+
+def test_a_foot_is_printed_where_it_stood_in_the_middle_of_its_stand(tmp_path: Path) -> None:
+    shortest = round(SHORTEST_PRINT / PERIOD) + 1
+    left = [True] * 20 + [False] * 10 + [True] * (shortest - 1) + [False] * 5 + [True] * (shortest + 1)
+    right = [10 <= k < 40 for k in range(len(left))]
+    bag = recording(
+        tmp_path / "feet.mcap", *(truth(k, pose(k), *each) for k, each in enumerate(zip(left, right, strict=True)))
+    )
+    begins = len(left) - shortest - 1
+    middles = [(True, 19 // 2), (False, (10 + 39) // 2), (True, (begins + len(left) - 1) // 2)]
+    found = footprints(bag)
+    assert [(each.left, round(each.time / PERIOD)) for each in found] == middles
+    model = full_model(ROBOT)
+    data = mujoco.MjData(model.mj)
+    for each, (is_left, k) in zip(found, middles, strict=True):
+        data.qpos[:3], data.qpos[3:7] = pose(k)
+        data.qpos[model.qpos] = ROBOT.nominal_posture[model.joint_indices]
+        mujoco.mj_forward(model.mj, data)
+        sole = data.site((ROBOT.tables.feet.left if is_left else ROBOT.tables.feet.right).sole)
+        np.testing.assert_allclose(each.position, sole.xpos, atol=1e-9)
+        assert each.heading == pytest.approx(0.02 * k, abs=1e-6)
+
+
+def test_a_robot_that_hangs_leaves_no_prints(tmp_path: Path) -> None:
+    bag = recording(tmp_path / "air.mcap", *(truth(k, pose(k), False, False) for k in range(3)))
+    with pytest.raises(BagError, match="no foot ever stood"):
+        footprints(bag)
