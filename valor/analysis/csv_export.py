@@ -135,7 +135,7 @@ class _Notices:
     _counts: dict[str, int] = field(default_factory=dict)
 
     def add(self, text: str) -> None:
-        if text not in self._counts and len(self._counts) == MOST_NOTICES:
+        if text not in self._counts and len(self._counts) >= MOST_NOTICES:
             text = "and more"
         self._counts[text] = self._counts.get(text, 0) + 1
 
