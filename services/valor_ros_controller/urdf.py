@@ -95,13 +95,13 @@ def _shapes(mj: mujoco.MjModel, geom: int) -> Iterator[Shape]:
     """What stands for a geom."""
     size, position, rotation = mj.geom_size[geom], mj.geom_pos[geom], _matrix(mj.geom_quat[geom])
     kind = mujoco.mjtGeom(mj.geom_type[geom])
-    if kind is mujoco.mjtGeom.mjGEOM_BOX:
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
         yield "box", {"size": _numbers(2.0 * size)}, position, rotation
-    elif kind is mujoco.mjtGeom.mjGEOM_SPHERE:
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         yield "sphere", {"radius": _number(size[0])}, position, rotation
     elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
         yield "cylinder", {"radius": _number(size[0]), "length": _number(2.0 * size[1])}, position, rotation
-        if kind is mujoco.mjtGeom.mjGEOM_CAPSULE:
+        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
             for end in (-size[1], size[1]):
                 yield "sphere", {"radius": _number(size[0])}, position + end * rotation[:, 2], rotation
 

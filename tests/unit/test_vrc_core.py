@@ -1,0 +1,247 @@
+"""The VRC's small parts against what they stand for: interfaces' numbers, derivatives, shapes, ages, answers."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from control_msgs.action import FollowJointTrajectory
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.unit.test_vrc_joint_trajectory_controller import PERIOD, Arm, point
+from tests.unit.test_vrc_trajectory import LIMITS, NOW
+from tests.unit.test_vrc_urdf import NAMES
+from tests.unit.vrc_in_process import System
+from valor.common.errors import ConfigurationError
+from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
+from valor.common.model import full_model
+from valor.common.robot import RobotDescription
+from valor.common.topics import BEHAVIOR, MOTION_STATE
+from valor.valor_ros_controller.behavior_commander import BehaviorCommander
+from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
+from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
+from valor.valor_ros_controller.controllers.footstep_controller import State
+from valor.valor_ros_controller.kinematic_tree import read
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.execution import Trajectory
+from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+
+SECOND = 1_000_000_000
+THREE = ("shoulder", "elbow", "wrist")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "interface"), [(ErrorCode, FollowJointTrajectory.Result), (State, ExecuteStepPlan.Feedback)]
+)
+def test_numbers_are_those_of_the_public_interface(numbers: Any, interface: type) -> None:
+    assert {each.name: int(each) for each in numbers} == {each.name: getattr(interface, each.name) for each in numbers}
+
+
+place = st.floats(-0.4, 0.4)
+vector = st.tuples(place, place, place)
+
+
+@settings(max_examples=30)
+@given(st.sampled_from([1, 2, 3]), st.lists(st.tuples(vector, vector, vector), min_size=1, max_size=3))
+def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, states: list[Any]) -> None:
+    """Of splines of every order, within every segment."""
+    states[-1] = (states[-1][0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    points = [Point(*[list(part) if i < order else [] for i, part in enumerate(state)], [], 3.0 * (k + 1))
+              for k, state in enumerate(states)]  # fmt: skip
+    rest = (np.zeros(3), np.zeros(3), np.zeros(3))
+    trajectory = Trajectory.begin(check_waypoints(THREE, points, LIMITS), 0, NOW, rest, LIMITS)
+    step = SECOND // 1000
+    for at in (0.3, 1.1, 2.7, 3.5, 5.2, 8.4):
+        time = NOW + round(at * SECOND)
+        if time + step >= trajectory.end:
+            break
+        before, here, after = (trajectory.at(time + shift) for shift in (-step, 0, step))
+        for rate, value in ((here[1], 0), (here[2], 1)):
+            np.testing.assert_allclose(rate, (after[value] - before[value]) / 2e-3, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("emergency_stop", ["freeze", "brake"], r"unknown modes \['brake'\]"),
+        ("behaviors", {"fall": "fallen"}, r"unknown modes \['fallen'\]"),
+    ],
+)
+def test_a_table_that_names_what_is_not_there_is_refused(key: str, value: Any, words: str, tmp_path: Path) -> None:
+    table = yaml.safe_load(FILE.read_text())
+    if isinstance(value, dict):
+        value = table[key] | value
+    file = tmp_path / "control_modes.yaml"
+    file.write_text(yaml.safe_dump(table | {key: value}))
+    with pytest.raises(ConfigurationError, match=words):
+        ControlModeTable.load(file)
+
+
+def part(kind: str, shape: str, size: Any, position: Any, rotation: Any, color: Any) -> tuple[Any, ...]:
+    """One shape of a link, to be compared; how a ball is turned does not matter, nor the colour of what is not seen."""
+    numbers = (size, position, () if shape == "sphere" else rotation, color if kind == "visual" else ())
+    return kind, shape, *(tuple(np.round(np.ravel(each).astype(float), 5) + 0.0) for each in numbers)
+
+
+def modelled(mj: mujoco.MjModel, body: str) -> Counter[tuple[Any, ...]]:
+    """What the model gives a body. A capsule is a cylinder with two balls."""
+    found: Counter[tuple[Any, ...]] = Counter()
+    for geom in np.flatnonzero(mj.geom_bodyid == mj.body(body).id).tolist():
+        shape, size, position = (
+            mujoco.mjtGeom(mj.geom_type[geom]).name[7:].lower(),
+            mj.geom_size[geom],
+            mj.geom_pos[geom],
+        )
+        rotation = Rotation.from_quat(mj.geom_quat[geom], scalar_first=True).as_matrix()
+        color = mj.geom_rgba[geom] if mj.geom_matid[geom] < 0 else mj.mat_rgba[mj.geom_matid[geom]]
+        kind = "collision" if mj.geom_group[geom] == 3 else "visual"
+        if shape == "capsule":
+            for end in (-size[1], size[1]):
+                found[part(kind, "sphere", size[0], position + end * rotation[:, 2], rotation, color)] += 1
+        if shape in ("box", "sphere", "cylinder", "capsule"):
+            known = {"box": 2.0 * size, "sphere": size[:1]}.get(shape, np.array((size[0], 2.0 * size[1])))
+            found[part(kind, shape.replace("capsule", "cylinder"), known, position, rotation, color)] += 1
+    return found
+
+
+def described(link: ElementTree.Element) -> Counter[tuple[Any, ...]]:
+    """What the URDF gives a link."""
+
+    def numbers(element: ElementTree.Element | None, key: str) -> list[float]:
+        return [] if element is None else [float(each) for each in element.get(key, "").split()]
+
+    found: Counter[tuple[Any, ...]] = Counter()
+    for kind in ("collision", "visual"):
+        for each in link.findall(kind):
+            ((shape,), origin) = (list(each.find("geometry") or []), each.find("origin"))
+            size = [number for key in ("size", "radius", "length") for number in numbers(shape, key)]
+            rotation = Rotation.from_euler("xyz", numbers(origin, "rpy")).as_matrix()
+            color = numbers(each.find("material/color"), "rgba")
+            assert bool(color) == (kind == "visual")
+            found[part(kind, shape.tag, size, numbers(origin, "xyz"), rotation, color)] += 1
+    return found
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_have_the_shapes_and_colours_of_the_model(name: str, tmp_path: Path) -> None:
+    """With one more of each kind on a hand, for no robot has them all."""
+    original = ROBOTS / name
+    (tmp_path / "robot.yaml").write_text((original / "robot.yaml").read_text())
+    added = (("sphere", ".02"), ("cylinder", ".02 .05"), ("capsule", ".03 .04"), ("box", ".01 .02 .03"))
+    more = "".join(
+        f'<geom type="{kind}" size="{size}" pos="0.01 0.02 0.03" euler="0.2 0.4 0.6" rgba="0.1 0.{i} 0 1" mass="0"/>'
+        for i, (kind, size) in enumerate(added)
+    )
+    model = (original / "model.xml").read_text()
+    site = model.index("<site", model.index('name="l_wrist_yaw"'))
+    (tmp_path / "model.xml").write_text(model[:site] + more + model[site:])
+    robot = RobotDescription.load(tmp_path)
+    tree = read(robot)
+    mj = full_model(robot, "all").mj
+    links = {link.get("name"): link for link in ElementTree.fromstring(tree.urdf).iter("link")}
+    everything: Counter[tuple[Any, ...]] = Counter()
+    for name in [tree.base, *(link.name for link in tree.links)]:
+        assert described(links[name]) == modelled(mj, name), name
+        everything += modelled(mj, name)
+    assert {(kind, shape) for kind, shape, *_ in everything} >= {
+        ("collision", "cylinder"), ("visual", "box"), ("visual", "cylinder"), ("visual", "sphere"),
+    }  # fmt: skip
+
+
+@pytest.fixture
+def system() -> System:
+    made = System()
+    made.run(4)
+    return made
+
+
+def test_the_pelvis_velocity_is_how_fast_the_pelvis_moves_in_robot_time(system: System) -> None:
+    interface, hw = system.vrc.interface, system.vrc.hw
+    newest = hw.motion
+    assert newest is not None
+    rate = np.array([0.2, -0.1, 0.05, 0.3, -0.2, 0.1])
+    for period in range(1, 400):
+        time = newest.time + period * 2_000_000
+        changes = {"time": time, "pelvis_in_support": rate * period * 0.002}
+        content = {name: getattr(newest, name) for name in MotionState.__struct_fields__} | changes
+        interface._motion_state.publish(MotionState(**content))  # type: ignore[attr-defined]
+        interface._listen(system.clock)
+    np.testing.assert_allclose(hw.velocity[hw.pelvis :], rate, rtol=0.02)
+    np.testing.assert_allclose(hw.position[hw.pelvis :], rate * 399 * 0.002)
+
+
+def test_how_old_the_robots_word_is_is_told_in_seconds(system: System) -> None:
+    interface = system.vrc.interface
+    ages = interface.proprioceptor_age, interface.motion_state_age
+    system.clock += 7.5
+    assert interface.proprioceptor_age == pytest.approx(ages[0] + 7.5)
+    assert interface.motion_state_age == pytest.approx(ages[1] + 7.5)
+    assert max(ages) < 1.0
+    assert system.network.topic(MOTION_STATE.name).publishers
+
+
+def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
+    points = check_waypoints(THREE, [Point([0.1] * 3, [], [], [], 1.0)], LIMITS)
+    rest = (np.zeros(3), np.zeros(3), np.zeros(3))
+    with pytest.raises(InvalidTrajectoryError, match=r"begins 3600 s after now \(5\.000 s of robot time\)"):
+        Trajectory.begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS)
+
+
+def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:
+    arm = Arm().start()
+    asked = arm.hw.time
+    arm.request([point(1.0, 0.2)])
+    arm.run(2 * PERIOD / SECOND)
+    begun, ended = arm.controller._trajectory.start, arm.controller._trajectory.end
+    assert begun >= asked
+    assert "0.250 s before the trajectory begins" in arm.controller.state_at(begun - SECOND // 4).message
+    assert "1.500 s after the trajectory has ended" in arm.controller.state_at(ended + 3 * SECOND // 2).message
+    for inside in (begun, (begun + ended) // 2, ended):
+        assert arm.controller.state_at(inside).message == ""
+
+
+def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(instance: RunningInstance) -> None:
+    asked: list[str] = []
+
+    def serve(request: BehaviorRequest, origin: str) -> BehaviorReply:
+        asked.append(request.behavior)
+        return BehaviorReply(accepted=request.behavior == "stand", behavior="stand_prep", reason="because")
+
+    manager = instance.node("motion_manager")
+    server = manager.server(BEHAVIOR.name, BehaviorRequest, BehaviorReply, serve)
+    commander = BehaviorCommander(instance.node("valor_ros_controller"))
+    heard = threading.Event()
+    commander.answered = heard.set
+
+    def ask(number: int, behavior: str) -> BehaviorAnswer | None:
+        """What came of it; None: the Motion Manager has not been found yet."""
+        heard.clear()
+        commander.ask(number, behavior)
+        while not heard.wait(0.01):
+            server.serve()
+        answer = commander.answers.read()
+        return None if answer is None or answer.silent else answer
+
+    try:
+        commander._wake.set()  # woken without a command: it asks for nothing
+        commander.commands.write((1, "idle"))
+        commander.forget()
+        commander._wake.set()
+        for number, behavior, accepted in ((2, "stand", True), (3, "walk", False)):
+            answer = wait_until(lambda n=number, b=behavior: ask(n, b), 30.0, f"the answer to {behavior}")  # type: ignore[misc]
+            assert (answer.number, answer.accepted, answer.behavior) == (number, accepted, "stand_prep")
+            assert accepted or "refused walk: because" in answer.reason
+        assert "idle" not in asked and asked == sorted(asked)
+    finally:
+        commander.close()
