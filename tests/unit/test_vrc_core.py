@@ -35,6 +35,7 @@ from valor.valor_ros_controller.controllers.footstep_controller import State
 from valor.valor_ros_controller.kinematic_tree import read
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
+from valor.valor_ros_controller.trajectory.limits import JointLimits
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 
 SECOND = 1_000_000_000
@@ -48,6 +49,7 @@ def test_numbers_are_those_of_the_public_interface(numbers: Any, interface: type
     assert {each.name: int(each) for each in numbers} == {each.name: getattr(interface, each.name) for each in numbers}
 
 
+FREE = JointLimits(THREE, ("rad",) * 3, np.full(3, -np.inf), np.full(3, np.inf), np.full(3, 1e3))
 place = st.floats(-0.4, 0.4)
 vector = st.tuples(place, place, place)
 
@@ -60,7 +62,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, s
     points = [Point(*[list(part) if i < order else [] for i, part in enumerate(state)], [], 3.0 * (k + 1))
               for k, state in enumerate(states)]  # fmt: skip
     rest = (np.zeros(3), np.zeros(3), np.zeros(3))
-    trajectory = Trajectory.begin(check_waypoints(THREE, points, LIMITS), 0, NOW, rest, LIMITS)
+    trajectory = Trajectory.begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE)
     step = SECOND // 1000
     for at in (0.3, 1.1, 2.7, 3.5, 5.2, 8.4):
         time = NOW + round(at * SECOND)
@@ -196,6 +198,7 @@ def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
     rest = (np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(InvalidTrajectoryError, match=r"begins 3600 s after now \(5\.000 s of robot time\)"):
         Trajectory.begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS)
+    assert Trajectory.begin(points, NOW + 300 * SECOND, NOW, rest, LIMITS).end == NOW + 301 * SECOND
 
 
 def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:

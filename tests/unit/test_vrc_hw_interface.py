@@ -90,3 +90,14 @@ def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side, added):
         position, _, _ = hw.rectify()
         assert (position >= limits.lower).all() and (position <= limits.upper).all()
     assert position.tolist() == limit.tolist()
+
+
+@pytest.mark.parametrize("part", ["command_position", "command_velocity", "command_acceleration"])
+def test_a_joint_whose_command_is_not_finite_rests_where_it_was_and_no_other_does(part):
+    hw = ValorEscherHWInterface(ROBOT)
+    hw.write("neck", NECK)
+    hw.command_position[NECK], hw.command_velocity[NECK], hw.command_acceleration[NECK] = 1e-4, 0.2, 0.3
+    hw.time += 10_000_000
+    getattr(hw, part)[NECK[1]] = np.nan
+    assert [values.tolist() for values in hw.rectify()] == [[1e-4, 0.0], [0.2, 0.0], [0.3, 0.0]]
+    assert hw.clamped == 1
