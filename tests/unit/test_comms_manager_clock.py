@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -85,18 +87,57 @@ def test_a_stall_is_slip_and_never_replayed() -> None:
     assert wall.time - before == pytest.approx(50 * PERIOD)
 
 
-@given(st.lists(st.floats(0, 0.02), min_size=1, max_size=200), st.sampled_from([0.5, 1.0, 2.0]))
-def test_robot_time_and_slip_account_for_the_walls_time(work: list[float], rate: float) -> None:
-    """Whatever happens, robot time never runs ahead, and what it lacks is slip or less than what is made up."""
+def test_a_backlog_is_made_up_with_bounded_haste() -> None:
     wall = SteppedWall()
-    pacer = Pacer(rate, wall)
+    pacer = Pacer(1.0, wall, backlog=0.2, haste=1.25)
+    pacer.pass_time(PERIOD)
+    wall.time += 0.1
+    pacer.pass_time(PERIOD)
+    ends = []
+    for _ in range(1000):
+        pacer.pass_time(PERIOD)
+        assert wall.time == pytest.approx(pacer.end)
+        ends.append(wall.time)
+    periods = np.diff(ends)
+    assert periods.min() == pytest.approx(PERIOD / 1.25)
+    # 98 ms, 0.4 ms a period
+    assert np.count_nonzero(periods < 0.99 * PERIOD) == pytest.approx(0.098 / 0.0004, abs=2)
+    assert periods[-1] == pytest.approx(PERIOD)
+    assert wall.time - 100.0 == pytest.approx(1002 * PERIOD)
+    assert pacer.slip == 0.0
+
+
+def test_more_than_the_backlog_is_slip() -> None:
+    wall = SteppedWall()
+    pacer = Pacer(1.0, wall, backlog=0.2, haste=1.25)
+    pacer.pass_time(PERIOD)
+    wall.time += 0.3
+    pacer.pass_time(PERIOD)
+    assert pacer.slip == pytest.approx(0.3 - PERIOD)
+    assert pacer.pass_time(PERIOD) == pytest.approx(PERIOD)
+
+
+@given(
+    st.lists(st.floats(0, 0.05), min_size=1, max_size=200),
+    st.sampled_from([0.5, 1.0, 2.0]),
+    st.sampled_from([(LATE, math.inf), (0.02, 1.25), (0.2, 1.25)]),
+)
+def test_robot_time_and_slip_account_for_the_walls_time(
+    work: list[float], rate: float, bounds: tuple[float, float]
+) -> None:
+    """Robot time never runs ahead nor too quickly, and what it lacks is slip or no more than what is made up."""
+    wall = SteppedWall()
+    backlog, haste = bounds
+    pacer = Pacer(rate, wall, backlog, haste)
     pacer.pass_time(PERIOD)
     begun = wall.time - PERIOD / rate
     for index, duration in enumerate(work, start=2):
+        before = wall.time
         wall.time += duration
         pacer.pass_time(PERIOD)
+        assert wall.time - before >= PERIOD / rate / haste - 1e-9
         behind = (wall.time - begun) * rate - index * PERIOD
-        assert -1e-9 <= behind - pacer.slip <= LATE * rate + 1e-9
+        assert -1e-9 <= behind - pacer.slip <= backlog * rate + 1e-9
 
 
 def test_the_wall_sleeps_no_shorter_than_asked_and_has_itself_woken_at_once() -> None:

@@ -1,14 +1,15 @@
 """How robot time is kept beside the wall's.
 
-Nobody ever catches up on missed periods: when late, the schedule moves, and the lost time is slip.
+What is late is made up within bounds; beyond them the schedule moves, and the lost time is slip.
 """
 
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 
-LATE = 0.002  # behind the schedule by more than this, the schedule moves [s]
+LATE = 0.002  # so far behind the schedule is made up at once [s]
 
 
 class Wall:
@@ -32,13 +33,25 @@ class Pacer:
 
     Attributes:
         slip: robot time lost: how much less has passed than the schedule first had it [s].
+        end: when the time that passes now is to have passed, on the wall [s].
     """
 
-    def __init__(self, rate: float, wall: Wall) -> None:
-        """``rate``: robot time to wall time; 0: no schedule."""
+    def __init__(self, rate: float, wall: Wall, backlog: float = LATE, haste: float = math.inf) -> None:
+        """Begin with the first time that passes.
+
+        Args:
+            rate: robot time to wall time; 0: no schedule.
+            wall: the clock to keep to.
+            backlog: behind the schedule by more than this, the schedule moves [s of the wall].
+            haste: to make up what is late, robot time passes at most so much quicker than ``rate``.
+        """
         self._rate = rate
         self._wall = wall
+        self._backlog = backlog
+        self._haste = haste
         self._due: float | None = None
+        self._passed = -math.inf  # when the time that passed last had passed, on the wall [s]
+        self.end = 0.0
         self.slip = 0.0
 
     def pass_time(self, duration: float, at_least_real_time: bool = False) -> float:
@@ -64,12 +77,10 @@ class Pacer:
         if not rate:
             return 0.0
         self._due += duration / rate
-        if now - self._due > LATE:
+        if now - self._due > self._backlog:
             if self._rate:
                 self.slip += (now - self._due) * rate
             self._due = now
-        return self._due - now
-
-    def remaining(self) -> float:
-        """How long the end is still away [s]."""
-        return 0.0 if self._due is None else self._due - self._wall.now()
+        self.end = max(self._due, self._passed + duration / rate / self._haste)
+        self._passed = max(self.end, now)
+        return self.end - now

@@ -9,7 +9,7 @@ from valor.common.service import Context
 from valor.common.topics import GROUND_TRUTH
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
-from valor.comms_manager.simulation.clock import CLOCKS
+from valor.comms_manager.simulation.clock import BACKLOG, CLOCKS, HASTE
 from valor.simulation.plant import Plant
 from valor.simulation.push import PushServer
 from valor.simulation.sensors import Sensors
@@ -31,7 +31,7 @@ class Simulation(Backend):
         if not settings.real_time_factor >= 0.0:
             raise ConfigurationError(f"real_time_factor {settings.real_time_factor:g}: expected 0 or more")
         rate = settings.real_time_factor if settings.clock == "lockstep" else 1.0
-        self._pacer = Pacer(rate, Wall())
+        self._pacer = Pacer(rate, Wall(), BACKLOG, HASTE)
         self._clock = CLOCKS[settings.clock](plant, steps, self._pacer)
         self._sensors = Sensors(robot, plant, robot.tables.actuators[settings.actuators].noise, settings.seed)
         self._truth = Truth(robot, plant, context.node.publisher(GROUND_TRUTH.name, GroundTruth))

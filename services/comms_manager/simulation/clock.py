@@ -2,7 +2,8 @@
 
 ``lockstep``: each state waits for the Motor that answers it; a slow machine slows the clock, not the robot.
 ``realtime``: time passes by itself, and stands only while the newest Motor answers a state too long ago (bounded
-staleness). Neither ever catches up on missed periods: when late, the schedule moves, and the lost time is slip.
+staleness). Both make up what is late, a quarter quicker than their pace at most; what the wall is ahead by more than
+``BACKLOG`` is not made up, and told as slip.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from valor.common.pacing import Pacer
 from valor.comms_manager.commands import Commands
 from valor.simulation.plant import Plant
 
+BACKLOG = 0.2  # a stall longer than this is not made up [s]
+HASTE = 1.25  # of the pace, while something is made up: Motor still comes within the period that it is for
 PATIENCE = 1.0  # of one wait for a Motor [s]
 STALENESS = 5  # realtime: periods that the state answered by the newest Motor may lie back
 
