@@ -18,6 +18,7 @@ from valor.common.resources import REPAIR
 from valor.common.selection import Selection
 from valor.common.service import Context, quiet_collector
 from valor.common.topics import MOTION_STATE, SNAP
+from valor.common.trace import Stage
 
 PERIOD = 0.1  # between two looks [s]; a look at some ninety topics has its price, and queues hold seconds
 DISCOVERY_PERIOD = 0.25  # [s]
@@ -67,23 +68,29 @@ class BagRecorder:
         self._statistics.state("ready")
         now = time.monotonic()
         next_discovery, next_clock = now + DISCOVERY_PERIOD, now + CLOCK_PERIOD
+        trace = self._context.trace
         while not self._context.stopping.wait(PERIOD):
             now = time.monotonic()
+            trace.mark(Stage.REST)
             if now >= next_discovery:
                 next_discovery = now + DISCOVERY_PERIOD
                 self._ros.discover()
                 self._statistics.drops = sum(dropped for _, dropped in self._counts().values())
+            trace.mark(Stage.DISCOVER)
             try:
                 if now >= next_clock or self._clock.moved():
                     next_clock = now + CLOCK_PERIOD
                     self._check_clock()
                 self._drain()
                 self._recording.attend()
+                trace.mark(Stage.WRITE)
             except OSError as error:
                 self._recording.failed(error)
             self._tell_state()
             self._snaps.serve()
             self._statistics.idle()
+            trace.cycle()
+            trace.mark(Stage.ATTEND)
 
     def close(self) -> None:
         """Take what still waits, finish the bag, tell what became of each topic, and leave both sides."""
@@ -107,7 +114,9 @@ class BagRecorder:
                 self._recording.heard(state.message)
         sink = self._recording.sink
         self._bifrost.drain(sink)
+        self._context.trace.mark(Stage.DRAIN_BIFROST)
         self._ros.drain(sink)
+        self._context.trace.mark(Stage.DRAIN_ROS)
 
     def _check_clock(self) -> None:
         change = self._clock.check()

@@ -9,6 +9,7 @@ import bifrost
 from valor.common.messages import ClockStatus, Motor, Proprioceptor
 from valor.common.service import Context, quiet_collector
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
+from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
 
@@ -21,6 +22,7 @@ class CommsManager:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._statistics = context.statistics
+        self._trace = context.trace
         node = context.node
         self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
         self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot)
@@ -37,18 +39,22 @@ class CommsManager:
             self._stand_by()
         else:
             self._statistics.state("ready")
-        backend, commands, statistics = self._backend, self._commands, self._statistics
+        backend, commands, statistics, trace = self._backend, self._commands, self._statistics, self._trace
         began = time.perf_counter()
         while not self._context.stopping.is_set():
             waited = backend.advance(commands)
             state = self._measure()
+            trace.mark(Stage.MEASURE)
             backend.attend()
             self._clock.update(backend, commands, state.time)
             statistics.rejected, statistics.drops = commands.refused, commands.drops
             statistics.cycle(began, waited)
+            trace.cycle()
+            trace.mark(Stage.ATTEND)
             backend.pace()
             began = time.perf_counter()
             self._publish(state)
+            trace.mark(Stage.PUBLISH, state.sequence)
 
     def close(self) -> None:
         """Give back the devices."""

@@ -50,6 +50,7 @@ from valor.common.topics import (
     STEP_STATUS,
     VELOCITY,
 )
+from valor.common.trace import Stage
 from valor.motion_manager.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
 
@@ -72,6 +73,7 @@ class MotionManagerService:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._statistics = context.statistics
+        self._trace = context.trace
         self._statistics.state("starting", "building the Whole-Body Controller")
         node = context.node
         self._manager = MotionManager(context.robot, controller_model(context.robot))
@@ -134,12 +136,15 @@ class MotionManagerService:
             for item in waiting:
                 if item in self._commands:
                     self._commands[item]()
+            self._trace.mark(Stage.TAKE_COMMANDS)
             if proprioceptor is not None:
                 self._tick(proprioceptor, began)
             for item in waiting:
                 if item in self._requests:
                     self._requests[item]()
             self._attend()
+            self._trace.cycle()
+            self._trace.mark(Stage.ATTEND)
             if proprioceptor is not None:
                 heard = began
                 self._statistics.cycle(began)
@@ -154,8 +159,10 @@ class MotionManagerService:
         received = self._proprioceptor.receive(0.0)  # come during the tick
         waiting = self._inputs.look(NAP if received is None else 0.0)
         woken = time.monotonic()
+        self._trace.mark(Stage.AWAIT)
         if received is None and self._proprioceptor in waiting:
             received = self._proprioceptor.receive(0.0)
+        self._trace.mark(Stage.DECODE)
         if received is None:
             return None, woken, waiting
         if received.origin != PROPRIOCEPTOR.publisher:
@@ -178,8 +185,12 @@ class MotionManagerService:
     def _tick(self, proprioceptor: Proprioceptor, began: float) -> None:
         """One control period: the Motor first."""
         manager = self._manager
-        self._motor.publish(manager.tick(proprioceptor))
+        motor = manager.tick(proprioceptor)
+        self._trace.mark(Stage.CONTROL)
+        self._motor.publish(motor)
+        self._trace.mark(Stage.SEND_MOTOR, proprioceptor.sequence)
         self._motion_state.publish(manager.report(time.monotonic() - began, self._tick_time))
+        self._trace.mark(Stage.SEND_STATE)
         if manager.in_control and manager.silent:
             manager.silent = ""
             self._statistics.state("ready")

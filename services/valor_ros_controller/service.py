@@ -16,6 +16,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 
 from valor.common.processes import PROCESSES
 from valor.common.service import Context, quiet_collector
+from valor.common.trace import Stage
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
@@ -191,12 +192,13 @@ class ValorRosController:
     def run(self) -> None:
         """Turn the loop until told to stop."""
         context, hw = self._context, self._hw
-        statistics = context.statistics
+        statistics, trace = context.statistics, context.trace
         self._ros.start()
         quiet_collector()
         while not context.stopping.is_set():
             measured = self._controller.update()
             began = self._controller.began
+            trace.mark(Stage.CONTROLLERS if measured else Stage.AWAIT)
             if measured:
                 self._cycles += 1
                 self._publisher.publish(hw)
@@ -215,11 +217,16 @@ class ValorRosController:
                 statistics.cycle(began)
             else:
                 statistics.idle()
+            trace.cycle()
+            trace.mark(Stage.PUBLISH_ROS)
 
     def _measured(self) -> None:
         """A cycle's measurement is there."""
+        trace = self._context.trace
+        trace.mark(Stage.AWAIT)
         self._stamp.sec, self._stamp.nanosec = divmod(self._hw.time, 1_000_000_000)
         self._publisher.publish_joints(self._hw)
+        trace.mark(Stage.PUBLISH_JOINTS)
 
     def _hand_over(self) -> None:
         """Tell the diagnostics and the statistics how we fare."""

@@ -154,6 +154,11 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
         assert service["cpu_percent"] >= 0
     assert oct((ctl.home / "default" / "keys").stat().st_mode & 0o777) == "0o700"
     assert "comms_manager" in ctl("status")
+    traced = json.loads(ctl("trace", "--for", "0.5", "--json", "--plot", str(ctl.home / "trace.png")))
+    assert traced["periods"] > 10
+    assert {part["title"].partition(":")[0] for part in traced["segments"]} >= {"comms_manager", "motion_manager"}
+    assert traced["cost_percent"].keys() == {"comms_manager", "motion_manager"}
+    assert (ctl.home / "trace.png").stat().st_size > 10_000
     assert "pushed" in ctl("push", "-1.5", "0", "-.5")
     assert "finite" in ctl("push", "nan", "0", "0", status=2)
     assert "bifrostd" in ctl("logs", "-n", "3")
@@ -169,6 +174,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     assert [file for file in held if os.path.exists(file)] == []
     assert "not up" in ctl("down")
     assert "not up" in ctl("status", status=1)
+    assert "not up" in ctl("trace", status=1)
     assert "bifrostd" in ctl("logs")
 
 

@@ -28,13 +28,14 @@ from valor.common.priority import take_cores, take_priority
 from valor.common.processes import BY_NAME, Process
 from valor.common.robot import RobotDescription
 from valor.common.topics import STATISTICS
+from valor.common.trace import Tracer
 
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the service again
 _LOG_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
 
 
 class Context:
-    """What a service is given: its instance, its robot, its Bifrost node, its statistics and the word to stop.
+    """What a service is given: instance, robot, Bifrost node, statistics, trace, and the word to stop.
 
     Attributes:
         stopping: set by SIGTERM and SIGINT; the loop returns soon after.
@@ -53,6 +54,7 @@ class Context:
         self.stopping = threading.Event()
         self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
         self.statistics = StatisticsPublisher(self.node, name, self.robot.control_period)
+        self.trace = Tracer(self.node, name)
 
     @staticmethod
     def _take_cores(process: Process) -> None:

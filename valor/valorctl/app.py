@@ -11,7 +11,17 @@ from typer.core import TyperGroup
 
 from valor.valorctl import completion
 from valor.valorctl.console import say
-from valor.valorctl.verbs import bags, demonstration, diagnosis, experiments, lifecycle, motion, observation, step
+from valor.valorctl.verbs import (
+    bags,
+    demonstration,
+    diagnosis,
+    experiments,
+    lifecycle,
+    motion,
+    observation,
+    step,
+    tracing,
+)
 
 # Verbs of Bifrost itself; loaded when used.
 _MOUNTED = ("topic", "service")
@@ -82,7 +92,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
 )
-for _group in (lifecycle, observation, motion, step, bags, demonstration, experiments, diagnosis):
+for _group in (lifecycle, observation, motion, step, bags, demonstration, experiments, diagnosis, tracing):
     _group.register(app)
 
 

@@ -26,6 +26,7 @@ from valor.common.processes import BY_NAME
 from valor.common.robot import FloatVector
 from valor.common.service import Context
 from valor.common.topics import DEVICES
+from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
 from valor.comms_manager.hardware.can_device import GATHERING, CanDevice
@@ -169,6 +170,7 @@ class Hardware(Backend):
         began = time.perf_counter()
         self._wait(commands, self._pacer.next(self._robot.control_period))
         self._pass_time(commands)
+        self._context.trace.mark(Stage.DEVICES)
         return time.perf_counter() - began
 
     def _wait(self, commands: Commands, duration: float) -> None:

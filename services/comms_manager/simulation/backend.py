@@ -32,7 +32,7 @@ class Simulation(Backend):
             raise ConfigurationError(f"real_time_factor {settings.real_time_factor:g}: expected 0 or more")
         rate = settings.real_time_factor if settings.clock == "lockstep" else 1.0
         self._pacer = Pacer(rate, Wall(), BACKLOG, HASTE)
-        self._clock = CLOCKS[settings.clock](plant, steps, self._pacer)
+        self._clock = CLOCKS[settings.clock](plant, steps, self._pacer, context.trace)
         self._sensors = Sensors(robot, plant, robot.tables.actuators[settings.actuators].noise, settings.seed)
         self._truth = Truth(robot, plant, context.node.publisher(GROUND_TRUTH.name, GroundTruth))
         self._truth_every = max(1, round(robot.tables.control_rate / Truth.RATE))

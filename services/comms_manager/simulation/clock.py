@@ -12,6 +12,7 @@ import time
 from abc import ABC, abstractmethod
 
 from valor.common.pacing import Pacer
+from valor.common.trace import Stage, Tracer
 from valor.comms_manager.commands import Commands
 from valor.simulation.plant import Plant
 
@@ -26,10 +27,11 @@ class Clock(ABC):
 
     name: str
 
-    def __init__(self, plant: Plant, steps: int, pacer: Pacer) -> None:
+    def __init__(self, plant: Plant, steps: int, pacer: Pacer, trace: Tracer) -> None:
         self._plant = plant
         self._steps = steps
         self._pacer = pacer
+        self._trace = trace
         self._due = 0.0  # robot time that has passed in the plant and not yet on the wall [s]
         self._unhurried = False  # keep to real time where there is no schedule
         self._admitted = 0
@@ -42,14 +44,20 @@ class Clock(ABC):
     def pace(self) -> float:
         """Sleep until the wall is where the plant is; returns the time slept [s]."""
         due, self._due = self._due, 0.0
-        return self._pacer.pass_time(due, self._unhurried)
+        slept = self._pacer.pass_time(due, self._unhurried)
+        if slept > 0.0:
+            self._trace.mark(Stage.SLEEP, at=self._pacer.end)
+            self._trace.mark(Stage.OVERSLEEP)
+        return slept
 
     def _step(self, count: int) -> None:
         self._plant.step(count)
         self._due += count * self._plant.step_time
+        self._trace.mark(Stage.PHYSICS)
 
     def _obey(self, commands: Commands) -> None:
         """Hand the newest Motor to the actuators, or have them hold."""
+        self._trace.mark(Stage.AWAIT_MOTOR)
         if commands.silent:
             if not self._holding:
                 self._holding = True
