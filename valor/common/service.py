@@ -24,7 +24,7 @@ import bifrost
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
-from valor.common.priority import take_cores, take_priority
+from valor.common.priority import take_cores, take_priority, take_turns
 from valor.common.processes import BY_NAME, Process
 from valor.common.robot import RobotDescription
 from valor.common.topics import STATISTICS
@@ -50,6 +50,8 @@ class Context:
             take_priority(process.priority)
         elif self.settings.paced:
             self._take_cores(process)
+        if self.settings.paced:
+            take_turns(process.turns)
         self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
         self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
