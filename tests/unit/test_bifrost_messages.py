@@ -141,6 +141,7 @@ def test_an_array_that_is_no_bytes_is_refused() -> None:
     [
         ({"reals": np.zeros(3, np.float32)}, r"Everything\.reals: .* float64 array, got float32 of shape \(3,\)"),
         ({"reals": np.zeros((2, 2))}, r"Everything\.reals: .* got float64 of shape \(2, 2\)"),
+        ({"reals": np.array(1.0)}, r"Everything\.reals: .* got float64 of shape \(\)"),
         ({"reals": [1.0]}, r"Everything\.reals: .* got list"),
         ({"reals": np.zeros(8, np.uint8)}, r"Everything\.reals: .* got uint8"),
         ({"octets": np.zeros(1)}, r"Everything\.octets: expected a one-dimensional uint8 array, got float64"),
@@ -324,3 +325,9 @@ def test_a_schema_that_is_not_well_formed_is_refused(schema: Schema) -> None:
 def test_json_that_is_not_the_message_is_named(fields: object, message: str) -> None:
     with pytest.raises(bifrost.SchemaError, match=message):
         bifrost.from_builtins(Inner, fields)
+
+
+@pytest.mark.parametrize("value", [-(2**63) - 1, -(2**64), 2**63])
+def test_json_with_integers_beyond_64_signed_bits_is_refused(value: int) -> None:
+    with pytest.raises(bifrost.SchemaError, match=rf"one: expected an integer of 64 bits, got {value}"):
+        bifrost.from_builtins(Counted, {"one": value, "many": [], "maybe": None})
