@@ -10,7 +10,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/interfaces.stamp
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test lint bench lock dist clean
+.PHONY: setup demo test lint bench mutants lock dist clean
 
 setup: $(STAMP)
 
@@ -70,6 +70,11 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/pathways.py
 	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/walking.py --quick
+
+# How many wrong changes the fast tests of a package notice; packages are in pyproject.toml, `tool.mutants`.
+mutants: $(STAMP)
+	$(UV) pip install --quiet --python $(BIN)/python --group mutation
+	OPENBLAS_NUM_THREADS=1 nice $(BIN)/python tests/mutants.py $(PACKAGE) --sample $(or $(SAMPLE),100) --seed $(or $(SEED),0)
 
 # Versions and hashes of all that is installed, from the bounds in pyproject.toml.
 lock:
