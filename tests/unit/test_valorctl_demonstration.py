@@ -55,21 +55,21 @@ def test_who_wants_to_stop_is_not_kept_waiting() -> None:
     failures.tell()
 
 
-def test_the_next_commands_are_called_as_this_one_was(
+def test_the_next_commands_find_this_valorctl(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.setattr("sys.argv", [str(tmp_path / ".venv/bin/valorctl"), "demo"])
-    demonstration.suggest(("up", "stands"), ("walk --vx 0.3", "walks"))
-    assert capsys.readouterr().out.splitlines() == [
-        "",
-        "next:",
-        "  .venv/bin/valorctl up             # stands",
-        "  .venv/bin/valorctl walk --vx 0.3  # walks",
-    ]
-    program = tmp_path / "valorctl"
-    program.touch(mode=0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    demonstration.suggest(("up", "stands"))
-    assert "  valorctl up  # stands" in capsys.readouterr().out
+    program, other = tmp_path / ".venv/bin/valorctl", tmp_path / "other/valorctl"
+    for each in (program, other):
+        each.parent.mkdir(parents=True)
+        each.touch(mode=0o755)
+    monkeypatch.setattr("sys.executable", str(program.with_name("python")))
+
+    def told(path: Path, folder: Path) -> list[str]:
+        monkeypatch.setenv("PATH", str(path))
+        monkeypatch.chdir(folder)
+        demonstration.suggest(("up", "stands"), ("walk --vx 0.3", "walks"))
+        return capsys.readouterr().out.splitlines()[2:]
+
+    assert told(program.parent, tmp_path) == ["  valorctl up             # stands", "  valorctl walk --vx 0.3  # walks"]
+    assert told(other.parent, tmp_path)[0] == "  .venv/bin/valorctl up             # stands"
+    assert told(other.parent, other.parent)[0] == f"  {program} up             # stands"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -114,12 +113,17 @@ def tell(files: Iterable[Path], progress: Progress) -> None:
     """Say which files there are."""
     for file in files:
         if file.exists():
-            progress.done(f"{file} ({file.stat().st_size / 1e6:.1f} MB)")
+            size = file.stat().st_size
+            progress.done(f"{file} ({size / 1e6:.0f} MB)" if size >= 1e6 else f"{file} ({size / 1e3:.0f} kB)")
 
 
 def suggest(*commands: tuple[str, str]) -> None:
     """Say what to try next: verbs with their arguments, and what they do."""
-    name = "valorctl" if shutil.which("valorctl") else os.path.relpath(sys.argv[0])
+    program = Path(sys.executable).with_name("valorctl")
+    here, found = Path.cwd(), shutil.which("valorctl")
+    name = program.relative_to(here) if program.is_relative_to(here) else program
+    if found and program.exists() and program.samefile(found):
+        name = Path("valorctl")
     width = max(len(command) for command, _ in commands)
     say("\nnext:")
     for command, what in commands:
