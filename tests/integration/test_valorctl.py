@@ -22,9 +22,11 @@ import pytest
 import bifrost
 from tests.bifrost.network import mechanism, ports
 from tests.conftest import REPOSITORY, ROBOTS, wait_until
+from tests.turns import after, known, turns
 from tests.unit.test_ros_domain import homes_that_begin_alike
 from valor.common.instance import Instance
 from valor.common.messages import MotionState
+from valor.common.priority import take_turns
 from valor.common.topics import MOTION_STATE
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import is_reserved
@@ -159,6 +161,10 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     assert {part["title"].partition(":")[0] for part in traced["segments"]} >= {"comms_manager", "motion_manager"}
     assert traced["cost_percent"].keys() == {"comms_manager", "motion_manager"}
     assert (ctl.home / "trace.png").stat().st_size > 10_000
+    if known():
+        comms = ctl.pid("comms_manager")
+        for thread in os.listdir(f"/proc/{comms}/task"):
+            assert turns(int(thread)).length == after(lambda: take_turns("short")).length
     assert "pushed" in ctl("push", "-1.5", "0", "-.5")
     assert "finite" in ctl("push", "nan", "0", "0", status=2)
     assert "bifrostd" in ctl("logs", "-n", "3")

@@ -136,7 +136,7 @@ def test_the_parts_are_the_period_and_the_blame_is_what_was_lost(each: list[dict
     periods = system.periods()
     assert sum(s.duration for s in periods.segments) == pytest.approx(periods.length, abs=1e-9)
     late = periods.length[periods.late]
-    blamed = sum(blame.lost for blame in periods.ranking())
+    blamed = sum(blame.delay for blame in periods.ranking())
     assert blamed <= float(np.sum(late - PERIOD)) + 1e-9
     for segment in periods.segments:
         assert np.all(segment.without_core <= segment.duration + 1e-9)
@@ -161,7 +161,7 @@ def test_whoever_made_the_world_wait_is_named(disturbance: dict[str, float], tit
     periods = system.periods()
     worst = periods.ranking()[0]
     assert (worst.title, worst.cause, worst.periods) == (title, cause, 1)
-    assert worst.lost == pytest.approx(periods.length.max() - PERIOD, rel=0.02)
+    assert worst.delay == pytest.approx(periods.length.max() - PERIOD, rel=0.02)
     assert periods.example(100) == 50
     assert periods.length[periods.example(50)] == pytest.approx(PERIOD)
 

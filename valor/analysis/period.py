@@ -75,14 +75,14 @@ class Blame:
     Attributes:
         title: of the segment.
         cause: why it took longer than usual.
-        lost: in all [s].
-        periods: in which it had a part of at least a tenth of the loss.
+        delay: of all late periods together [s].
+        periods: in which it was at least a tenth of the delay.
         beside: how much of the time other services were at work, by their names.
     """
 
     title: str
     cause: str
-    lost: float
+    delay: float
     periods: int
     beside: dict[str, float]
 
@@ -159,9 +159,9 @@ class Periods:
             return []
         guilty = [segment for segment in self.segments if segment.name not in _WAITING]
         excess = np.array([np.maximum(0.0, s.duration[late] - np.median(s.duration)) for s in guilty])
-        lost = (self.length[late] - self.nominal) * excess / np.maximum(excess.sum(axis=0), 1e-12)
+        delay = (self.length[late] - self.nominal) * excess / np.maximum(excess.sum(axis=0), 1e-12)
         blames = []
-        for segment, own, share in zip(guilty, excess, lost, strict=True):
+        for segment, own, share in zip(guilty, excess, delay, strict=True):
             collecting = np.minimum(segment.collecting[late], own)
             waiting = np.minimum(segment.without_core[late], own - collecting)
             for cause, part in (
@@ -174,7 +174,7 @@ class Periods:
                     continue
                 counted = int(np.count_nonzero(seconds > 0.1 * (self.length[late] - self.nominal)))
                 blames.append(Blame(segment.title, cause, total, counted, self._beside(segment, late, seconds)))
-        return sorted(blames, key=lambda blame: -blame.lost)
+        return sorted(blames, key=lambda blame: -blame.delay)
 
     def _beside(self, segment: Segment, late: npt.NDArray[np.intp], weight: Array) -> dict[str, float]:
         """Which other services were at work meanwhile: share of the time, weighted."""

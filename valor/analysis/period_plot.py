@@ -136,13 +136,13 @@ def _draw_lengths(axes: Axes, periods: Periods) -> None:
 
 def _draw_ranking(axes: Axes, ranking: list[Blame]) -> None:
     """Who made the world wait."""
-    style.quiet(axes, "who made the world wait", "of robot time lost in late periods [ms]")
+    style.quiet(axes, "who made the world wait", "delay in all periods more than a tenth too long [ms]")
     worst = ranking[:_SHOWN]
     for row, blame in enumerate(worst):
-        lost = 1e3 * blame.lost
-        axes.barh(row, lost, color=_ORANGE if blame.cause == WITHOUT_CORE else style.GREY, height=0.6)
-        axes.text(lost, row, f"  {lost:.1f} ms, {blame.periods} periods", va="center", fontsize=8)
+        delay = 1e3 * blame.delay
+        axes.barh(row, delay, color=_ORANGE if blame.cause == WITHOUT_CORE else style.GREY, height=0.6)
+        axes.text(delay, row, f"  {delay:.1f} ms, {blame.periods} periods", va="center", fontsize=8)
     axes.set_yticks(range(len(worst)), [f"{blame.title}: {blame.cause}" for blame in worst])
     axes.tick_params(axis="y", labelsize=7.5)
     axes.set_ylim(max(len(worst), 1) - 0.4, -0.6)
-    axes.set_xlim(right=1.7e3 * max((blame.lost for blame in worst), default=1e-3))
+    axes.set_xlim(right=1.7e3 * max((blame.delay for blame in worst), default=1e-3))

@@ -71,10 +71,10 @@ def _show(seen: Tracing) -> None:
     console.print(table)
     console.print()
     if seen.ranking:
-        table = made("who made the world wait", "why", "lost [ms]", "periods", "meanwhile at work")
+        table = made("who made the world wait", "why", "delay [ms]", "periods", "meanwhile at work")
         for blame in seen.ranking[:_SHOWN]:
             beside = ", ".join(f"{name} {100 * share:.0f} %" for name, share in blame.beside.items())
-            table.add_row(blame.title, blame.cause, f"{1e3 * blame.lost:.1f}", str(blame.periods), beside)
+            table.add_row(blame.title, blame.cause, f"{1e3 * blame.delay:.1f}", str(blame.periods), beside)
         console.print(table)
         console.print()
     table = made("thread", "process", "runs [%]", "waits for a core [%]", "turns [1/s]")
