@@ -45,6 +45,35 @@ class Bench(RobotOnDevices):
         return float(received.message.pelvis_position_in_world[2])
 
 
+def test_a_start_without_what_balance_needs_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
+    other = tmp_path / "escher"
+    shutil.copytree(ROBOTS / "escher", other)
+    table = (other / "robot.yaml").read_text()
+    imu = table[table.index("  imu:\n    kind: microstrain_mip") : table.index("  neck:\n    kind: dynamixel_2")]
+    sensor = re.search(r" +- \{ id: 2, at: right_foot.*\n", table)
+    assert sensor is not None
+    (other / "robot.yaml").write_text(table.replace(imu, "").replace(sensor.group(), ""))
+    instance.configure(variant="hardware", control_rate=250.0, robot=other)
+    process = instance.start("comms_manager")
+    assert process.wait(PATIENCE) == EXIT_CONFIGURATION
+    said = instance.log("comms_manager").splitlines()[-1]
+    assert "devices: 0 IMUs; expected one, for the pelvis' attitude; no force/torque sensor at right_foot" in said
+
+
+def test_a_start_with_another_device_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
+    instance.configure(variant="hardware", control_rate=250.0)
+    instance.start("device_emulators", wait=True)
+    other = tmp_path / "escher"
+    shutil.copytree(ROBOTS / "escher", other)
+    table = (other / "robot.yaml").read_text()
+    (other / "robot.yaml").write_text(table.replace("FT-45-0118", "FT-45-9999"))
+    instance.configure(robot=other)
+    process = instance.start("comms_manager")
+    assert process.wait(PATIENCE) == EXIT_CONFIGURATION
+    expected = "force_torque/2: serial number 'FT-45-0118'; expected 'FT-45-9999' (robot.yaml)"
+    assert expected in instance.log("comms_manager")
+
+
 @pytest.fixture(scope="module")
 def bench(ros_domain: int) -> Iterator[Bench]:
     with on_devices(ros_domain, "hdt_driver", "hdt_bridge") as running:
@@ -157,32 +186,3 @@ def test_an_encoder_that_jumps_is_believed_no_more(standing: Bench) -> None:
     status = standing.status
     wait_until(lambda: standing.status is not status, PATIENCE, "another word")
     assert standing.unit("legs/7")[0] == "faulty"
-
-
-def test_a_start_without_what_balance_needs_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
-    other = tmp_path / "escher"
-    shutil.copytree(ROBOTS / "escher", other)
-    table = (other / "robot.yaml").read_text()
-    imu = table[table.index("  imu:\n    kind: microstrain_mip") : table.index("  neck:\n    kind: dynamixel_2")]
-    sensor = re.search(r" +- \{ id: 2, at: right_foot.*\n", table)
-    assert sensor is not None
-    (other / "robot.yaml").write_text(table.replace(imu, "").replace(sensor.group(), ""))
-    instance.configure(variant="hardware", control_rate=250.0, robot=other)
-    process = instance.start("comms_manager")
-    assert process.wait(PATIENCE) == EXIT_CONFIGURATION
-    said = instance.log("comms_manager").splitlines()[-1]
-    assert "devices: 0 IMUs; expected one, for the pelvis' attitude; no force/torque sensor at right_foot" in said
-
-
-def test_a_start_with_another_device_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
-    instance.configure(variant="hardware", control_rate=250.0)
-    instance.start("device_emulators", wait=True)
-    other = tmp_path / "escher"
-    shutil.copytree(ROBOTS / "escher", other)
-    table = (other / "robot.yaml").read_text()
-    (other / "robot.yaml").write_text(table.replace("FT-45-0118", "FT-45-9999"))
-    instance.configure(robot=other)
-    process = instance.start("comms_manager")
-    assert process.wait(PATIENCE) == EXIT_CONFIGURATION
-    expected = "force_torque/2: serial number 'FT-45-0118'; expected 'FT-45-9999' (robot.yaml)"
-    assert expected in instance.log("comms_manager")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import signal
+import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from valor.common.messages import (
     BehaviorReply,
     BehaviorRequest,
@@ -162,6 +163,11 @@ class MotionSystem:
         reply = self._push.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
         assert reply.accepted, reply.reason
 
+    def forget(self) -> None:
+        """What was seen so far, but for the newest MotionState."""
+        self.look()
+        self.history, self.rejections = self.history[-1:], []
+
     def behaviors(self) -> list[str]:
         """Every behavior seen, in order."""
         self.look()
@@ -179,150 +185,6 @@ def largest_steps(history: list[MotionState], places: np.ndarray) -> tuple[np.nd
     elapsed = np.diff(time)[:, None]
     consecutive = (elapsed > 0.0)[:, 0]
     return elapsed[consecutive], np.abs(np.diff(position, axis=0))[consecutive]
-
-
-def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    system.stand()
-    system.pass_time(1.0)
-    system.go(Behavior.STAND_MANIPULATE)
-    held = system.pass_time(0.5).joint_setpoint[ARM_PLACES]
-    assert np.allclose(held, ROBOT.nominal_posture[ARM_PLACES], atol=0.03)  # nobody led them yet
-    arrived = system.lead(
-        dict(zip(ARM, FORWARD, strict=True)),
-        lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], FORWARD, atol=0.05)),
-        "the right arm forward",
-    )
-    assert arrived.behavior == Behavior.STAND_MANIPULATE
-    system.go(Behavior.STAND)
-    system.wait(
-        lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], ROBOT.nominal_posture[ARM_PLACES], atol=0.05)),
-        "the right arm at home",
-    )
-    assert system.height > STANDING
-    assert system.behaviors()[-3:] == ["stand", "stand_manipulate", "stand"]
-    assert not any(state.qp_failures for state in system.history)
-    arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm")))
-    elapsed, steps = largest_steps(system.history, arms)
-    assert (steps <= ROBOT.velocity_limit[arms] * elapsed * 1.05 + 1e-6).all()
-    sequences = [state.proprioceptor_sequence for state in system.history]
-    assert sequences == sorted(sequences)
-    # What is told of a tick contains the part until its Motor, which the MotionState before told.
-    pairs = [
-        (before.motor_time, state.tick_time)
-        for before, state in zip(system.history, system.history[1:], strict=False)
-        if state.proprioceptor_sequence == before.proprioceptor_sequence + 1
-    ]
-    assert len(pairs) > 100 and all(0.0 < motor_time < tick_time for motor_time, tick_time in pairs)
-
-
-def test_stand_prep_answers_why_stand_is_refused(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    refusals = []
-
-    def accepted() -> bool:
-        reply = system.request("stand")
-        if not reply.accepted:
-            assert reply.behavior == Behavior.STAND_PREP
-            refusals.append(reply.reason)
-        return reply.accepted
-
-    wait_until(accepted, 60.0, "stand accepted")
-    assert refusals
-    assert all("stand_prep" in reason or "foot" in reason for reason in refusals), refusals
-
-
-def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    assert "unknown behavior 'moonwalk'; expected one of idle, stand_prep" in system.request("moonwalk").reason
-    system.stand()
-    assert "no transition from stand to idle" in system.request("idle").reason
-    before = system.pass_time(1.0).joint_setpoint
-    arm = dict.fromkeys(ARM, 0.0)
-    system.refused("closed to set-points in behavior stand: manipulation is slave", setpoints=arm)
-    system.refused("they carry the robot", setpoints={"l_knee_pitch": 1.0})
-    system.refused("unknown joint 'tail'", setpoints={"tail": 1.0})
-    system.refused("is nan, not a finite number", setpoints={"neck_yaw": np.nan})
-    system.refused("position has 3 numbers", changes={"position": np.zeros(3)})
-    system.refused("stale", changes={"age": 1.0})
-    reply = system._footsteps.call(
-        FootstepPlanRequest(steps=[Footstep(1, 0, np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, 0.0, 0.0)]), timeout=10.0
-    )
-    assert not reply.accepted
-    assert "step_manipulate; the behavior is stand" in reply.reason
-    after = system.pass_time(0.5)
-    assert after.behavior == Behavior.STAND
-    arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")))
-    assert np.allclose(after.joint_setpoint[arms], before[arms], atol=0.02)
-    assert system.height > STANDING
-    refused = {rejection.topic: rejection.count for rejection in system.rejections}
-    assert set(refused) == {BEHAVIOR.name, JOINT_SETPOINTS.name, FOOTSTEP_PLAN.name}
-    assert system.statistics.rejected >= sum(refused.values())
-
-
-def test_pushed_over_the_robot_goes_limp_and_stays_fallen(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    system.stand()
-    system.pass_time(1.0)
-    system.push((0.0, 80.0, 0.0))
-    fallen = system.wait_behavior(Behavior.FALL)
-    assert "limit" in fallen.reason
-    system.pass_time(3.0)
-    assert system.height < 0.5
-    motor = wait_until(system.motors.latest, 10.0, "a Motor").message
-    assert not motor.effort.any()
-    assert not motor.stiffness.any()
-    assert set(motor.mode) <= {JointMode.FORCE, JointMode.OFF}
-    for behavior in ("stand", "stand_prep", "stand_manipulate", "idle"):
-        assert not system.request(behavior).accepted
-    assert "face-down only" in system.request("get_up").reason  # it fell on its side
-    assert system.pass_time(0.1).reason == fallen.reason  # still the same
-    # Lying on the floor it can be frozen and prepared, and never stands.
-    system.go(Behavior.FREEZE)
-    system.go(Behavior.STAND_PREP)
-
-    def prepared() -> BehaviorReply | None:
-        reply = system.request("stand")
-        return None if any(word in reply.reason for word in ("to go", "begun", "silent")) else reply
-
-    reply = wait_until(prepared, 60.0, "Stand Prep done", period=0.1)
-    assert reply is not None
-    assert not reply.accepted
-    assert any(word in reply.reason for word in ("tilted", "foot", "above the soles", "settled")), reply.reason
-
-
-def test_soft_stop_keeps_balance_and_closes_the_interfaces(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    system.stand()
-    system.go(Behavior.STAND_MANIPULATE)
-    system.lead(dict(zip(ARM, FORWARD, strict=True)), lambda s: s.joint_setpoint[ARM_PLACES[0]] < 0.1, "an arm moved")
-    system.go(Behavior.SOFT_STOP)
-    held = system.pass_time(1.0).joint_setpoint[ARM_PLACES]
-    system.refused("soft_stop: attention is locked", setpoints={"neck_yaw": 0.1})
-    system.refused("soft_stop: manipulation is locked", setpoints=dict(zip(ARM, FORWARD, strict=True)))
-    assert np.allclose(system.pass_time(1.0).joint_setpoint[ARM_PLACES], held, atol=0.02)
-    assert system.height > STANDING
-    system.go(Behavior.STAND)
-    system.pass_time(1.0)
-    assert system.height > STANDING
-
-
-@pytest.mark.parametrize("posture", [Behavior.STAND_PREP, Behavior.FREEZE])
-def test_a_standing_robot_is_handed_to_its_servos_without_a_fall_and_back(
-    instance: RunningInstance, posture: Behavior
-) -> None:
-    system = MotionSystem(instance)
-    system.stand()
-    height = system.pass_time(2.0).pelvis_position_in_odom[2]
-    system.go(posture)
-    begun = len(system.history)
-    system.pass_time(0.3)
-    lowest = min(state.pelvis_position_in_odom[2] for state in system.history[begun:])
-    assert lowest > height - 0.01
-    system.go(Behavior.STAND_PREP)
-    system.stand()
-    system.pass_time(1.0)
-    assert system.height > STANDING
 
 
 def test_a_killed_comms_manager_is_a_fall_with_its_reason(instance: RunningInstance) -> None:
@@ -380,12 +242,133 @@ def test_the_motion_system_runs_where_ros_cannot_be_imported(instance: RunningIn
     assert system.height > STANDING
 
 
-@pytest.mark.parametrize("name", ["motion_manager", "comms_manager"])
-def test_a_process_that_stands_still_for_a_moment_is_no_fall(instance: RunningInstance, name: str) -> None:
-    system = MotionSystem(instance)
+@pytest.fixture(scope="module")
+def started(ros_domain: int) -> Iterator[MotionSystem]:
+    """One system for those behind, each of which leaves the robot standing; but for the last two."""
+    with (
+        tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
+        fresh_instance(Path(home), ros_domain) as running,
+    ):
+        yield MotionSystem(running)
+
+
+@pytest.fixture
+def system(started: MotionSystem) -> MotionSystem:
+    """It, standing; what others have seen of it is forgotten."""
+    started.stand()
+    started.forget()
+    return started
+
+
+def test_stand_prep_answers_why_stand_is_refused(started: MotionSystem) -> None:
+    """The first in the shared system: it has just started."""
+    refusals = []
+
+    def accepted() -> bool:
+        reply = started.request("stand")
+        if not reply.accepted:
+            assert reply.behavior == Behavior.STAND_PREP
+            refusals.append(reply.reason)
+        return reply.accepted
+
+    wait_until(accepted, 60.0, "stand accepted")
+    assert refusals
+    assert all("stand_prep" in reason or "foot" in reason for reason in refusals), refusals
+
+
+def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(system: MotionSystem) -> None:
+    system.pass_time(1.0)
+    system.go(Behavior.STAND_MANIPULATE)
+    held = system.pass_time(0.5).joint_setpoint[ARM_PLACES]
+    assert np.allclose(held, ROBOT.nominal_posture[ARM_PLACES], atol=0.03)  # nobody led them yet
+    arrived = system.lead(
+        dict(zip(ARM, FORWARD, strict=True)),
+        lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], FORWARD, atol=0.05)),
+        "the right arm forward",
+    )
+    assert arrived.behavior == Behavior.STAND_MANIPULATE
+    system.go(Behavior.STAND)
+    system.wait(
+        lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], ROBOT.nominal_posture[ARM_PLACES], atol=0.05)),
+        "the right arm at home",
+    )
+    assert system.height > STANDING
+    assert system.behaviors()[-3:] == ["stand", "stand_manipulate", "stand"]
+    assert not any(state.qp_failures for state in system.history)
+    arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm")))
+    elapsed, steps = largest_steps(system.history, arms)
+    assert (steps <= ROBOT.velocity_limit[arms] * elapsed * 1.05 + 1e-6).all()
+    sequences = [state.proprioceptor_sequence for state in system.history]
+    assert sequences == sorted(sequences)
+    # What is told of a tick contains the part until its Motor, which the MotionState before told.
+    pairs = [
+        (before.motor_time, state.tick_time)
+        for before, state in zip(system.history, system.history[1:], strict=False)
+        if state.proprioceptor_sequence == before.proprioceptor_sequence + 1
+    ]
+    assert len(pairs) > 100 and all(0.0 < motor_time < tick_time for motor_time, tick_time in pairs)
+
+
+def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(system: MotionSystem) -> None:
+    assert "unknown behavior 'moonwalk'; expected one of idle, stand_prep" in system.request("moonwalk").reason
+    assert "no transition from stand to idle" in system.request("idle").reason
+    before = system.pass_time(1.0).joint_setpoint
+    arm = dict.fromkeys(ARM, 0.0)
+    system.refused("closed to set-points in behavior stand: manipulation is slave", setpoints=arm)
+    system.refused("they carry the robot", setpoints={"l_knee_pitch": 1.0})
+    system.refused("unknown joint 'tail'", setpoints={"tail": 1.0})
+    system.refused("is nan, not a finite number", setpoints={"neck_yaw": np.nan})
+    system.refused("position has 3 numbers", changes={"position": np.zeros(3)})
+    system.refused("stale", changes={"age": 1.0})
+    reply = system._footsteps.call(
+        FootstepPlanRequest(steps=[Footstep(1, 0, np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, 0.0, 0.0)]), timeout=10.0
+    )
+    assert not reply.accepted
+    assert "step_manipulate; the behavior is stand" in reply.reason
+    after = system.pass_time(0.5)
+    assert after.behavior == Behavior.STAND
+    arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")))
+    assert np.allclose(after.joint_setpoint[arms], before[arms], atol=0.02)
+    assert system.height > STANDING
+    refused = {rejection.topic: rejection.count for rejection in system.rejections}
+    assert set(refused) == {BEHAVIOR.name, JOINT_SETPOINTS.name, FOOTSTEP_PLAN.name}
+    assert system.statistics.rejected >= sum(refused.values())
+
+
+def test_soft_stop_keeps_balance_and_closes_the_interfaces(system: MotionSystem) -> None:
+    system.go(Behavior.STAND_MANIPULATE)
+    system.lead(dict(zip(ARM, FORWARD, strict=True)), lambda s: s.joint_setpoint[ARM_PLACES[0]] < 0.1, "an arm moved")
+    system.go(Behavior.SOFT_STOP)
+    held = system.pass_time(1.0).joint_setpoint[ARM_PLACES]
+    system.refused("soft_stop: attention is locked", setpoints={"neck_yaw": 0.1})
+    system.refused("soft_stop: manipulation is locked", setpoints=dict(zip(ARM, FORWARD, strict=True)))
+    assert np.allclose(system.pass_time(1.0).joint_setpoint[ARM_PLACES], held, atol=0.02)
+    assert system.height > STANDING
+    system.go(Behavior.STAND)
+    system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+@pytest.mark.parametrize("posture", [Behavior.STAND_PREP, Behavior.FREEZE])
+def test_a_standing_robot_is_handed_to_its_servos_without_a_fall_and_back(
+    system: MotionSystem, posture: Behavior
+) -> None:
+    height = system.pass_time(2.0).pelvis_position_in_odom[2]
+    system.go(posture)
+    begun = len(system.history)
+    system.pass_time(0.3)
+    lowest = min(state.pelvis_position_in_odom[2] for state in system.history[begun:])
+    assert lowest > height - 0.01
+    system.go(Behavior.STAND_PREP)
     system.stand()
+    system.pass_time(1.0)
+    assert system.height > STANDING
+
+
+@pytest.mark.parametrize("name", ["motion_manager", "comms_manager"])
+def test_a_process_that_stands_still_for_a_moment_is_no_fall(system: MotionSystem, name: str) -> None:
     system.pass_time(0.5)
-    process = instance.process(name)
+    process = system.instance.process(name)
     process.send_signal(signal.SIGSTOP)
     try:
         time.sleep(0.3)  # the stall is the subject of this test
@@ -396,12 +379,10 @@ def test_a_process_that_stands_still_for_a_moment_is_no_fall(instance: RunningIn
     assert system.height > STANDING
 
 
-def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    system.stand()
-    recorded = instance.node("other").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(system: MotionSystem) -> None:
+    recorded = system.instance.node("other").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
     said = wait_until(recorded.latest, 20.0, "a Proprioceptor").message
-    replayed = instance.node("player").publisher(PROPRIOCEPTOR.name, Proprioceptor)
+    replayed = system.instance.node("player").publisher(PROPRIOCEPTOR.name, Proprioceptor)
 
     def play() -> bool:
         said.sequence, said.time, said.imu_orientation = 1, 1, np.array([0.0, 1.0, 0.0, 0.0])
@@ -414,7 +395,37 @@ def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(instance: Ru
     assert system.height > STANDING
 
 
-def test_it_stops_at_once_when_told(instance: RunningInstance) -> None:
-    MotionSystem(instance)
-    assert instance.stop("motion_manager") == 0
-    assert "Traceback" not in instance.log("motion_manager")
+def test_pushed_over_the_robot_goes_limp_and_stays_fallen(system: MotionSystem) -> None:
+    """The last in the shared system for which it stands."""
+    system.pass_time(1.0)
+    system.push((0.0, 80.0, 0.0))
+    fallen = system.wait_behavior(Behavior.FALL)
+    assert "limit" in fallen.reason
+    system.pass_time(3.0)
+    assert system.height < 0.5
+    motor = wait_until(system.motors.latest, 10.0, "a Motor").message
+    assert not motor.effort.any()
+    assert not motor.stiffness.any()
+    assert set(motor.mode) <= {JointMode.FORCE, JointMode.OFF}
+    for behavior in ("stand", "stand_prep", "stand_manipulate", "idle"):
+        assert not system.request(behavior).accepted
+    assert "face-down only" in system.request("get_up").reason  # it fell on its side
+    assert system.pass_time(0.1).reason == fallen.reason  # still the same
+    # Lying on the floor it can be frozen and prepared, and never stands.
+    system.go(Behavior.FREEZE)
+    system.go(Behavior.STAND_PREP)
+
+    def prepared() -> BehaviorReply | None:
+        reply = system.request("stand")
+        return None if any(word in reply.reason for word in ("to go", "begun", "silent")) else reply
+
+    reply = wait_until(prepared, 60.0, "Stand Prep done", period=0.1)
+    assert reply is not None
+    assert not reply.accepted
+    assert any(word in reply.reason for word in ("tilted", "foot", "above the soles", "settled")), reply.reason
+
+
+def test_it_stops_at_once_when_told(started: MotionSystem) -> None:
+    """The last one in the shared system."""
+    assert started.instance.stop("motion_manager") == 0
+    assert "Traceback" not in started.instance.log("motion_manager")
