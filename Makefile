@@ -90,7 +90,7 @@ dist: $(STAMP)
 	for project in . bifrost; do $(UV) build --quiet --python $(BIN)/python $$project -o dist; done
 	$(UV) build --quiet --sdist --python $(BIN)/python --require-hashes \
 	  --build-constraints interfaces/build-constraints.txt interfaces -o dist
-	cp build/wheels/*.whl dist
+	cp $(dir $(WHEELS))*.whl dist
 	$(UV) tool run --quiet --python $(BIN)/python --from 'twine>=6.1' twine check --strict dist/*.whl dist/*.tar.gz
 	@du -h dist/*.whl dist/*.tar.gz
 
