@@ -1,4 +1,4 @@
-# make setup | demo | test | lint | bench | dist. Everything is installed from PyPI into .venv; see README.md.
+# make setup | demo | test | fuzz | lint | bench | dist. Everything is installed from PyPI into .venv; see README.md.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 PYTHON ?= python3
@@ -10,7 +10,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/interfaces.stamp
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test lint bench mutants lock dist clean
+.PHONY: setup demo test fuzz lint bench mutants lock dist clean
 
 setup: $(STAMP)
 
@@ -60,6 +60,14 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+# The property tests with so many times the examples, other ones each time (`make fuzz FUZZ=100`). What fails is tried
+# first by the next `make fuzz`, and is kept for good by an `@example`: libcst lets Hypothesis write that as a patch.
+FUZZ ?= 20
+fuzz: $(STAMP)
+	$(UV) pip install --quiet --python $(BIN)/python --group fuzz
+	OPENBLAS_NUM_THREADS=1 FUZZ=$(FUZZ) $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 7200 -m hypothesis \
+	  tests/unit tests/conformance tests/bifrost
 
 # Numbers for docs/performance.md; never part of the tests.
 bench: $(STAMP)

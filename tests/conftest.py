@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import hypothesis
 import pytest
+from hypothesis.database import DirectoryBasedExampleDatabase
 
 import bifrost
 from valor.common.instance import Instance, Settings
@@ -28,12 +29,29 @@ from valor.common.topics import STATISTICS
 REPOSITORY = Path(__file__).resolve().parent.parent
 ROBOTS = REPOSITORY / "robots"
 T = TypeVar("T")
-hypothesis.settings.register_profile("valor", deadline=None)  # how long an example takes is the machine's matter
+FUZZ = int(os.environ.get("FUZZ", "0"))
+"""Of ``make fuzz``: so many times the examples, other ones each time; 0: the same ones on every run."""
+# How long an example takes is the machine's matter.
+hypothesis.settings.register_profile(
+    "valor",
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+    derandomize=not FUZZ,
+    database=DirectoryBasedExampleDatabase(REPOSITORY / ".hypothesis" / "examples") if FUZZ else None,
+    print_blob=bool(FUZZ),
+    max_examples=100 * max(1, FUZZ),
+)
 hypothesis.settings.load_profile("valor")
 # A shell starts what runs in its background with SIGINT ignored, and that is inherited: the processes that tests
 # interrupt would go on for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+
+def examples(count: int, *allowed: hypothesis.HealthCheck) -> hypothesis.settings:
+    """Settings of a property test: how many examples it tries, unless fuzzed, and what it may do besides."""
+    checks = [*hypothesis.settings().suppress_health_check, *allowed]
+    return hypothesis.settings(max_examples=count * max(1, FUZZ), suppress_health_check=checks)
 
 
 def wait_until(condition: Callable[[], T], timeout: float, what: str, period: float = 0.02) -> T:

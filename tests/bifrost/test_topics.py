@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import pytest
 import zmq
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 import bifrost
@@ -31,6 +31,7 @@ from tests.bifrost.network import (
     sequences,
     until,
 )
+from tests.conftest import examples
 
 
 class Other(bifrost.Message):
@@ -594,7 +595,7 @@ def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwo
             received.append(one)
         return received[:-1]
 
-    @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+    @examples(150, *HealthCheck)
     @given(data=st.data())
     def attack(data: st.DataObject) -> None:
         kind = data.draw(st.sampled_from(["noise", "cut", "flip", "payload", "header"]))

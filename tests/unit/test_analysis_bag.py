@@ -8,10 +8,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests import analysis_bag
+from tests.conftest import examples
 from valor.analysis import pictures, plots
 from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
@@ -107,7 +108,7 @@ def test_a_bag_cut_off_is_read_to_where_it_was_written(file: Path, tmp_path: Pat
 
 
 @given(st.floats(0.0, 0.99), st.binary(min_size=64, max_size=4096))
-@settings(max_examples=25, deadline=None)
+@examples(25)
 def test_garbage_in_a_bag_is_an_error_of_the_bag_and_of_nothing_else(file: Path, where: float, garbage: bytes) -> None:
     broken = file.with_name("broken.mcap")
     content = bytearray(file.read_bytes())

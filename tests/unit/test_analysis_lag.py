@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from valor.analysis.bag import Array
 from valor.analysis.errors import DissimilarSignalsError, SignalError
 from valor.analysis.lag import lag, lags
@@ -27,7 +28,7 @@ def sampled(
     return Signal.of(t, motion(t - delay) + noise * np.random.default_rng(seed).standard_normal(len(t)))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     delay=st.floats(-0.4, 0.4),
     rate=st.sampled_from([250.0, 333.0, 500.0]),

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as parquet
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import bifrost
+from tests.conftest import examples
 from valor.analysis.csv_export import export
 from valor.analysis.errors import BagError
 from valor.analysis.stored import StoredBag
@@ -182,7 +183,7 @@ def foreign(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return write(tmp_path_factory.mktemp("foreign") / "bag", request.param, COUNT)
 
 
-@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(8, HealthCheck.function_scoped_fixture)
 @given(data=st.data())
 def test_of_a_truncated_bag_all_before_the_cut_is_saved(foreign: Path, tmp_path: Path, data: st.DataObject) -> None:
     content = foreign.read_bytes()
@@ -199,7 +200,7 @@ def test_of_a_truncated_bag_all_before_the_cut_is_saved(foreign: Path, tmp_path:
         assert len(found) > 0.3 * len(expected)
 
 
-@settings(deadline=None, max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(10, HealthCheck.function_scoped_fixture)
 @given(data=st.data())
 def test_no_damage_is_a_traceback(foreign: Path, tmp_path: Path, data: st.DataObject) -> None:
     content = bytearray(foreign.read_bytes())

@@ -6,10 +6,11 @@ import tracemalloc
 from io import BytesIO
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
+from tests.conftest import examples
 from valor.bag_recorder.quick_writer import QuickWriter
 
 U32, U64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
@@ -33,7 +34,7 @@ def written(kind: type[Writer], messages: list[tuple[int, int, bytes, int, int]]
     return out.getvalue()
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(MESSAGES, st.integers(0, 60))
 def test_what_comes_out_is_the_librarys_byte_for_byte(
     messages: list[tuple[int, int, bytes, int, int]], flush_at: int

@@ -8,12 +8,13 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 
+from tests.conftest import examples
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.definitions import definition
 from valor.common.bag_index import BagError
@@ -74,7 +75,7 @@ def read(path: Path) -> Messages:
     return found
 
 
-@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(150, HealthCheck.function_scoped_fixture)
 @given(data=st.data())
 def test_cut_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "cut.mcap"
@@ -112,7 +113,7 @@ def test_a_finished_bag_is_left_alone(tmp_path: Path) -> None:
     assert read(tmp_path / "a.mcap") == messages
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(40, HealthCheck.function_scoped_fixture)
 @given(data=st.data())
 def test_a_finished_bag_keeps_its_messages_whatever_its_index_lost(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "a.mcap"

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bifrost import Message, Received, codec
+from tests.conftest import examples
 from valor.bag_recorder.definitions import UnknownTypeError, definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.common.messages import Footstep, FootstepPlanRequest, Motor
@@ -57,7 +58,7 @@ def same(one: object, other: object) -> bool:
     return bool(one == other)
 
 
-@settings(deadline=None, max_examples=300)
+@examples(300)
 @given(data=st.data())
 def test_every_message_reads_the_same_from_its_twin(typestore: Any, data: st.DataObject) -> None:
     message_type = data.draw(st.sampled_from(MESSAGES))
@@ -78,7 +79,7 @@ def test_every_message_reads_the_same_from_its_twin(typestore: Any, data: st.Dat
             assert same(getattr(message, name), getattr(twin, name)), name
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(data=st.data())
 def test_the_bytes_are_those_of_another_encoder(typestore: Any, data: st.DataObject) -> None:
     message_type = data.draw(st.sampled_from(MESSAGES))

@@ -10,6 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from tests.conftest import examples
 from valor.motion_manager.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
 from valor.motion_manager.behaviors import (
     BEHAVIOR_TRANSITIONS,
@@ -140,4 +141,4 @@ class AnythingMayHappen(RuleBasedStateMachine):
 
 
 TestAnythingMayHappen = AnythingMayHappen.TestCase
-TestAnythingMayHappen.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestAnythingMayHappen.settings = settings(examples(60), stateful_step_count=40)

@@ -9,12 +9,13 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import bifrost
 from bifrost.messages import ArrayKind, Message
 from bifrost.schema import Schema, field_types, schema_of, type_from_schema
+from tests.conftest import examples
 
 
 class Inner(bifrost.Message):
@@ -104,7 +105,7 @@ def test_json_and_back(message: Everything) -> None:
     assert bifrost.to_builtins(back) == bifrost.to_builtins(expected)
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(st.binary(max_size=200))
 def test_noise_is_refused_by_one_kind_of_error(noise: bytes) -> None:
     try:

@@ -10,6 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from bifrost import directory as d
 from bifrost import neighbors as module
 from bifrost.neighbors import Neighbors, Watch
+from tests.conftest import examples
 
 _ENTRIES = st.lists(
     st.builds(
@@ -121,11 +122,11 @@ class Model(RuleBasedStateMachine):
 
 
 TestNeighbors = Model.TestCase
-TestNeighbors.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
+TestNeighbors.settings = settings(examples(60), stateful_step_count=25)
 
 
 @given(st.integers(2, 300))
-@settings(max_examples=10, deadline=None)
+@examples(10)
 def test_of_a_node_with_many_topics_only_those_that_change_are_looked_at(number: int) -> None:
     def entry(i: int, endpoint: str = "tcp://1") -> d.Entry:
         return d.Entry("publisher", f"topic_{i}", ("T",), ("00",), endpoint)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from valor.comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, EncoderWatch
 
 LIMIT = 6.0  # [rad/s]
@@ -45,7 +46,7 @@ def hear(told: Answers) -> tuple[EncoderWatch, list[bool]]:
 still = np.zeros(CALM)
 
 
-@settings(max_examples=80, deadline=None)
+@examples(80)
 @given(
     st.lists(st.floats(-8.0, 8.0), min_size=1, max_size=12),
     st.lists(st.floats(-0.3, 0.3), min_size=40, max_size=40),
@@ -59,7 +60,8 @@ def test_a_knock_is_no_jump(changes: list[float], jitter: list[float]) -> None:
     assert all(believed)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
+@example(speed=15.0, decay=0.5, count=3, side=1.0, lag=0.75)
 @given(st.floats(8.0, 30.0), st.floats(0.5, 0.9), st.integers(3, 8), st.sampled_from([1.0, -1.0]), st.floats(0.0, 0.9))
 def test_a_knock_whose_velocity_is_told_late_is_no_jump(
     speed: float, decay: float, count: int, side: float, lag: float
@@ -71,7 +73,7 @@ def test_a_knock_whose_velocity_is_told_late_is_no_jump(
     assert believed[-1]
 
 
-@settings(max_examples=80, deadline=None)
+@examples(80)
 @given(
     st.lists(st.floats(-LIMIT, LIMIT), min_size=2 * CALM, max_size=2 * CALM),
     st.floats(0.25, 3.0),
@@ -94,7 +96,7 @@ def test_a_jump_is_one_whatever_the_joint_does_meanwhile(
     assert not any(believed[CALM : CALM + DOUBTS_TO_FAULT - 1]), "nothing is taken in before it is known"
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.floats(0.4, 3.0), st.sampled_from([1.0, -1.0]))
 def test_a_glitch_is_not_believed_and_forgotten(height: float, side: float) -> None:
     told = answers(np.zeros(2 * CALM))

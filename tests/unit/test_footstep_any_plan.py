@@ -14,10 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Foot, FootstepExecutionStatus, Step, StepPlan
 
+from tests.conftest import examples
 from tests.unit.test_footstep_plan import LIMITS, MOVE, REACH, ROBOT, make_plan, plans
 from tests.unit.test_motion_manager_footsteps import Bench
 from valor.common.messages import Footstep
@@ -235,7 +236,7 @@ def ready_for(plan: StepPlan) -> Bench:
 
 
 @given(plans, st.lists(breaks, max_size=4))
-@settings(max_examples=150)
+@examples(150)
 def test_a_plan_is_good_as_a_whole_or_moves_nothing(plan: StepPlan, broken: list[Break]) -> None:
     bench = ready_for(plan)
     stance = stands(bench, 1 - plan.steps[0].foot.foot_index)
@@ -257,7 +258,7 @@ def test_a_plan_is_good_as_a_whole_or_moves_nothing(plan: StepPlan, broken: list
 
 
 @given(st.integers(0, 7), st.integers(0, 9), st.integers(1, 5), st.lists(breaks, max_size=3))
-@settings(max_examples=150)
+@examples(150)
 def test_an_update_is_good_as_a_whole_or_the_running_plan_goes_on(
     events: int, first: int, count: int, broken: list[Break]
 ) -> None:

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS
+from tests.conftest import ROBOTS, examples
 from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints
 from valor.common.robot import RobotDescription
 from valor.hdt_driver.limb import ENGAGE, JUMP, SILENCE, Command, Limb
@@ -87,7 +87,7 @@ def test_a_far_first_set_point_is_refused_by_name_and_a_near_one_leads(caplog: p
     assert told.position == pytest.approx(HOME)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.integers(0, 2**32 - 1))
 def test_set_points_never_jump_whatever_is_asked_and_whatever_fails(seed: int) -> None:
     random = np.random.default_rng(seed)

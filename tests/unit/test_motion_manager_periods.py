@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bifrost import Message, Received
-from tests.conftest import ROBOTS
+from tests.conftest import ROBOTS, examples
 from valor.common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
 from valor.common.model import controller_model
 from valor.common.robot import FloatVector, RobotDescription
@@ -422,7 +422,7 @@ def test_an_error_of_ours_repeats_the_last_command_and_then_falls(standing: Robo
 values = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1.0, -3.0, 1e9, 1e300])
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(st.data())
 @np.errstate(all="ignore")
 def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.DataObject) -> None:
@@ -460,7 +460,7 @@ numbers = st.one_of(st.floats(), st.floats(-1e3, 1e3), st.floats(-4.0, 4.0))  # 
 slips = st.tuples(st.sampled_from(sorted(SAID)), st.integers(0, N - 1), numbers)
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(st.lists(st.lists(slips, min_size=1, max_size=6), min_size=1, max_size=8))
 @np.errstate(all="ignore")
 def test_whatever_single_sensors_say_while_it_balances_the_motors_are_sound(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bifrost import Received
-from tests.conftest import ROBOTS
+from tests.conftest import ROBOTS, examples
 from tests.unit.test_motion_manager_limiter import Watch
 from valor.common.messages import JointSetpoints
 from valor.common.model import controller_model
@@ -255,7 +255,7 @@ numbers = st.one_of(st.floats(), st.floats(-4, 4), st.sampled_from([np.nan, np.i
 names = st.one_of(st.sampled_from([*ROBOT.joints]), st.text(max_size=5))
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(
     st.lists(
         st.tuples(

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS
+from tests.conftest import ROBOTS, examples
 from valor.common.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
 from valor.common.robot import RobotDescription
 
@@ -86,7 +86,7 @@ def test_both_sides_have_the_same_drives_and_mirrored_limits(robot: RobotDescrip
 
 @every_full_model
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_left_and_right_are_mirror_images(model: Model, seed: int) -> None:
     """A posture and its mirror image put every body, and the CoM, at mirrored places: geometry, masses, axes agree."""
     rng = np.random.default_rng(seed)

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.conftest import examples
 from valor.common.messages import JointMode, Motor
 from valor.common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
 from valor.common.table import checked, plain
@@ -90,7 +91,7 @@ FINITE = st.floats(-1e6, 1e6)
     *(arrays(np.float64, N, elements=st.floats(-50, 50)) for _ in range(2)),
     st.sampled_from([IDEAL, ROBOT.tables.actuators["hardware"], ActuatorProfile(backlash=0.01)]),
 )
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_effort_is_always_within_limits(
     modes: npt.NDArray[np.uint8],
     position: Vector,

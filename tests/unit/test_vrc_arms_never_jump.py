@@ -10,9 +10,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from tests.unit.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
 from valor.common import topics
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
@@ -181,7 +182,7 @@ def do(system: Watched, kind: str, *arguments: Any) -> None:
     system.run(4)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(st.lists(actions, max_size=25))
 def test_no_set_point_ever_jumps(sequence: list[tuple[Any, ...]]) -> None:
     system = Watched()

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from tests.unit.vrc_in_process import ModeClient
 from valor.common.messages import ModeStatus
 from valor.common.robot import RobotDescription
@@ -281,7 +282,7 @@ events = st.one_of(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.lists(events, max_size=20))
 def test_whatever_happens_every_client_is_answered_once_and_the_mode_is_true(sequence):
     plant = Plant()

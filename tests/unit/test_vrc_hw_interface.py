@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from valor.common.robot import RobotDescription
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, JointClaimError, ValorEscherHWInterface
 
@@ -50,7 +51,7 @@ def test_offsets_of_robot_level_controllers_are_added():
 number = st.one_of(st.floats(-10, 10), st.floats(allow_nan=True, allow_infinity=True))
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.lists(st.tuples(st.lists(number, min_size=6, max_size=6), st.integers(-5, 400)), min_size=1, max_size=20))
 def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_what_was_sent(cycles):
     hw = ValorEscherHWInterface(ROBOT)

@@ -9,6 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from tests.conftest import examples
 from tests.unit.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
 from valor.common.messages import BehaviorRequest, ModeStatus
 from valor.motion_manager.behaviors import Behavior
@@ -199,7 +200,7 @@ class ModesAndBehaviors(RuleBasedStateMachine):
             self.all_is_quiet()
 
 
-ModesAndBehaviors.TestCase.settings = settings(max_examples=15, stateful_step_count=20, deadline=None)
+ModesAndBehaviors.TestCase.settings = settings(examples(15), stateful_step_count=20)
 TestModesAndBehaviors = ModesAndBehaviors.TestCase
 
 

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.trajectory.limits import JointLimits
@@ -154,7 +155,7 @@ def test_stopping_decelerates_each_joint_as_told_and_stays():
 rests = st.tuples(*(st.tuples(st.floats(0.0, 1.0), st.floats(-6, 6), st.floats(0.01, 100)) for _ in NAMES))
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(rests)
 def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints):
     fraction, speed, deceleration = np.array(joints).T
@@ -205,7 +206,7 @@ def trajectories(draw):
     return points
 
 
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @given(trajectories(), positions)
 def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(points, here):
     try:
@@ -232,7 +233,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 sizes = st.lists(anything, max_size=4)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(
     st.lists(st.sampled_from([*NAMES, "knee"]), max_size=4),
     st.lists(st.builds(Point, sizes, sizes, sizes, st.just(()), anything), max_size=4),

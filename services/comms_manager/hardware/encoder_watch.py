@@ -14,7 +14,9 @@ import math
 SPEED, MARGIN = 1.2, 0.05  # a joint moves by at most so many times its velocity limit, and so far [rad]
 LONGEST_PAUSE = 0.1  # between answers; after a longer one the joint may be anywhere [s]
 MISFIT = 0.2  # of a movement, that may differ from what the velocities at its ends make of it
-GOES_ON = 0.5  # of a leap's speed, at least, with the next answer: then it is a joint that moves
+# Of a leap's speed, at least, with the next answer: then it is a joint that moves. A knock may lose half of its speed
+# from one answer to the next; 0.48 is what is left of the smallest jump that is to be told, 0.25 rad, at 6 rad/s.
+GOES_ON = 0.49
 DOUBTS_TO_FAULT = 3  # answers after a leap, after which it is the encoder
 
 

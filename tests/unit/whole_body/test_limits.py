@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import examples
 from tests.unit.whole_body.closed_loop import load_robot
 from valor.motion_manager.kernel import Kernel
 from valor.motion_manager.whole_body.limits import JointLimits
@@ -34,7 +35,7 @@ def test_bounds_never_cross(share: float, speed: float) -> None:
     assert (lower <= upper).all()
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(st.floats(0.0, 1.0), st.sampled_from((-1.0, 1.0)))
 def test_a_joint_driven_as_hard_as_allowed_stays_within_its_limits(share: float, direction: float) -> None:
     position, velocity = LOWER + share * (UPPER - LOWER), np.zeros(27)
