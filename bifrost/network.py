@@ -100,7 +100,11 @@ class Network:
 
     @classmethod
     def create(
-        cls, network_file: Path | str, keys_folder: Path | str, host: str = "127.0.0.1", port: int = 0
+        cls,
+        network_file: Path | str,
+        keys_folder: Path | str,
+        host: str = "127.0.0.1",
+        ports: Sequence[int] = _DAEMON_PORTS,
     ) -> Network:
         """Write the network file of one computer, and fresh keys.
 
@@ -108,12 +112,12 @@ class Network:
             network_file: overwritten when it exists; its folder is made.
             keys_folder: made with mode 0700; keys in it are overwritten, mode 0600.
             host: the address of this computer's interface that everything listens on.
-            port: of the daemon; 0: a free one.
+            ports: of which the daemon gets one that is free.
 
         Raises:
-            ConfigurationError: the files cannot be written.
+            ConfigurationError: the files cannot be written, or no port is free.
         """
-        return cls.create_for([Computer("localhost", host, port or _free_port(host))], network_file, keys_folder)
+        return cls.create_for([Computer("localhost", host, _free_port(host, ports))], network_file, keys_folder)
 
     @classmethod
     def create_for(cls, computers: Sequence[Computer], network_file: Path | str, keys_folder: Path | str) -> Network:
@@ -157,10 +161,9 @@ class Network:
         return cls.load(*values)
 
 
-def _free_port(host: str) -> int:
-    chooser = random.SystemRandom()
-    for _ in range(200):
-        port = chooser.choice(_DAEMON_PORTS)
+def _free_port(host: str, ports: Sequence[int]) -> int:
+    # Not the first: who takes one before that daemon listens would take the same.
+    for port in random.SystemRandom().sample(ports, min(len(ports), 200)):
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
             try:
                 probe.bind((host.strip("[]"), port))

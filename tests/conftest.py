@@ -25,6 +25,7 @@ from valor.common.messages import Statistics
 from valor.common.processes import BY_NAME
 from valor.common.table import checked, plain
 from valor.common.topics import STATISTICS
+from valor.valorctl.ros_domain import daemon_ports, reserve, reserve_for
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 ROBOTS = REPOSITORY / "robots"
@@ -183,29 +184,40 @@ def home() -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def ros_domain() -> int:
-    """A ROS domain per test process, away from those that instances choose (1 to 101)."""
-    return 102 + os.getpid() % 60
+def ros_domain() -> Iterator[int]:
+    """A ROS domain, and the ports that go with it, that nobody else on this computer has."""
+    with reserve(f"tests {os.getpid()}") as reservation:
+        yield reservation.domain
 
 
 @contextmanager
-def fresh_instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
-    """An instance with ``bifrostd`` running: free-running lockstep, hardware actuators, seed 0."""
-    made = Instance("test", home)
+def fresh_instance(home: Path, name: str = "test", **settings: object) -> Iterator[RunningInstance]:
+    """An instance with ``bifrostd`` running, in a ROS domain of its own.
+
+    Args:
+        home: its VALOR_HOME.
+        name: of the instance.
+        settings: that differ from free-running lockstep, hardware actuators and seed 0.
+    """
+    made = Instance(name, home)
     made.logs.mkdir(parents=True)
     made.bags.mkdir()
-    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=ros_domain, real_time_factor=0.0)
-    made.settings_file.write_text(settings.json())
-    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
-    try:
-        running.start("bifrostd")
-        yield running
-    finally:
-        running.close()
+    with reserve_for(made) as reservation:
+        domain = reservation.domain
+        usual = {"robot": str(ROBOTS / "escher"), "ros_domain_id": domain, "real_time_factor": 0.0}
+        made.settings_file.write_text(checked(Settings, usual | settings).json())
+        running = RunningInstance(
+            made, bifrost.Network.create(made.network_file, made.keys, ports=daemon_ports(domain))
+        )
+        try:
+            running.start("bifrostd")
+            yield running
+        finally:
+            running.close()
 
 
 @pytest.fixture
-def instance(home: Path, ros_domain: int) -> Iterator[RunningInstance]:
+def instance(home: Path) -> Iterator[RunningInstance]:
     """A ``fresh_instance`` of the test's own."""
-    with fresh_instance(home, ros_domain) as running:
+    with fresh_instance(home) as running:
         yield running

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import random
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import bifrost
 from bifrost import Computer
 from tests.bifrost.network import BifrostNetwork
+from valor.valorctl.ros_domain import daemon_ports
 
 
 @pytest.fixture
-def bare_network(tmp_path: Path) -> Iterator[BifrostNetwork]:
+def bare_network(tmp_path: Path, ros_domain: int) -> Iterator[BifrostNetwork]:
     """A network of one computer whose daemon does not run yet."""
-    made = BifrostNetwork(tmp_path)
+    made = BifrostNetwork(tmp_path, daemon_ports(ros_domain))
     yield made
     made.close()
 
@@ -30,9 +29,9 @@ def own_net(bare_network: BifrostNetwork) -> BifrostNetwork:
 
 
 @pytest.fixture(scope="session")
-def lasting_network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BifrostNetwork]:
+def lasting_network(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[BifrostNetwork]:
     """A network whose daemon runs as long as the tests do."""
-    made = BifrostNetwork(tmp_path_factory.mktemp("network"))
+    made = BifrostNetwork(tmp_path_factory.mktemp("network"), daemon_ports(ros_domain))
     made.start_daemon()
     yield made
     made.close()
@@ -46,18 +45,10 @@ def net(lasting_network: BifrostNetwork) -> Iterator[BifrostNetwork]:
 
 
 @pytest.fixture
-def two_computers(tmp_path: Path) -> Iterator[BifrostNetwork]:
+def two_computers(tmp_path: Path, ros_domain: int) -> Iterator[BifrostNetwork]:
     """Two computers, near and far, that are two addresses of the loopback interface; no daemon runs yet."""
-    port = _free_port()
-    made = BifrostNetwork(tmp_path, [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)])
+    ports = daemon_ports(ros_domain)
+    port = bifrost.Network.create(tmp_path / "one.json", tmp_path / "keys", "0.0.0.0", ports).computer.port  # on either
+    made = BifrostNetwork(tmp_path, ports, [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)])
     yield made
     made.close()
-
-
-def _free_port() -> int:
-    """One that nobody listens on, on whichever address."""
-    while True:
-        port = random.SystemRandom().randrange(20000, 32768)
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("0.0.0.0", port))
-            return port

@@ -121,12 +121,13 @@ class Peer:
 class BifrostNetwork:
     """The network, its daemons, and everything that a test started in it."""
 
-    def __init__(self, folder: Path, computers: Sequence[Computer] = ()) -> None:
+    def __init__(self, folder: Path, ports: Sequence[int], computers: Sequence[Computer] = ()) -> None:
+        """Of several computers, or of this one, on a port of some."""
         self.file, self.keys = folder / "network.json", folder / "keys"
         if computers:
             self.network = bifrost.Network.create_for(computers, self.file, self.keys)
         else:
-            self.network = bifrost.Network.create(self.file, self.keys)
+            self.network = bifrost.Network.create(self.file, self.keys, ports=ports)
         self.log = folder / "bifrostd.log"
         self.daemons: dict[str, subprocess.Popen[bytes]] = {}
         self.within: dict[str, Sequence[str]] = {}  # by computer: the command that runs another one there

@@ -122,7 +122,7 @@ def ip(*arguments: str) -> None:
 @pytest.fixture
 def cabled(tmp_path: Path) -> Iterator[BifrostNetwork]:
     """Two network namespaces joined by a pair of virtual interfaces; the far one is named ``far``."""
-    tag = f"bf{os.getpid() % 100_000}"
+    tag = f"bf{os.getpid()}"
     spaces = {"near": f"{tag}n", "far": f"{tag}f"}
     try:
         for space in spaces.values():
@@ -136,7 +136,7 @@ def cabled(tmp_path: Path) -> Iterator[BifrostNetwork]:
         for space in spaces.values():
             subprocess.run(["ip", "netns", "del", space], check=False, capture_output=True)
         pytest.skip(f"network namespaces cannot be made here: {getattr(error, 'stderr', error)}")
-    made = BifrostNetwork(tmp_path, [Computer("near", "10.213.7.1", 23456), Computer("far", "10.213.7.2", 23456)])
+    made = BifrostNetwork(tmp_path, (), [Computer("near", "10.213.7.1", 23456), Computer("far", "10.213.7.2", 23456)])
     made.within = {name: ("ip", "netns", "exec", space) for name, space in spaces.items()}
     yield made
     made.close()

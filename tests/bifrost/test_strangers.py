@@ -27,6 +27,7 @@ from tests.bifrost.network import (
     ports,
     until,
 )
+from valor.valorctl.ros_domain import daemon_ports
 
 GREETING = 64  # [B], of ZMTP 3
 WELCOME = 170  # [B], the answer to a HELLO, framed
@@ -165,8 +166,8 @@ class Party:
 
 
 @pytest.fixture(scope="module")
-def party(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Party]:
-    net = BifrostNetwork(tmp_path_factory.mktemp("party"))
+def party(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[Party]:
+    net = BifrostNetwork(tmp_path_factory.mktemp("party"), daemon_ports(ros_domain))
     net.start_daemon()
     made = Party(net, net.peer("publish", "lab/sample", "100"), net.peer("serve", "lab/ask"))
     yield made

@@ -80,13 +80,14 @@ class RobotOnDevices:
 
 
 @contextmanager
-def on_devices(ros_domain: int, *drivers: str, **settings: object) -> Iterator[RunningInstance]:
+def on_devices(*drivers: str, **settings: object) -> Iterator[RunningInstance]:
     """The hardware variant at 250 Hz: the emulators and drivers, then, when these are ready, what needs them."""
     with (
         tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
-        fresh_instance(Path(home), ros_domain) as running,
+        fresh_instance(
+            Path(home), variant="hardware", control_rate=250.0, epoch=time.monotonic_ns(), **settings
+        ) as running,
     ):
-        running.configure(variant="hardware", control_rate=250.0, epoch=time.monotonic_ns(), **settings)
         for processes in (("device_emulators", *drivers), ("comms_manager", "motion_manager")):
             for name in processes:
                 running.start(name)

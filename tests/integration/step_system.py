@@ -7,7 +7,6 @@ long it may take for something is counted in robot time.
 from __future__ import annotations
 
 import math
-import os
 import shutil
 import tempfile
 from collections import deque
@@ -27,10 +26,8 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
-import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from tests.system import RosClient
-from valor.common.instance import Instance, Settings
 from valor.common.messages import GroundTruth, MotionState, PushReply, PushRequest, StepStatus
 from valor.common.model import full_model
 from valor.common.poses import Pose
@@ -43,7 +40,7 @@ from valor.valorctl.step_planner import middle
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-PROCESSES = ("bifrostd", "comms_manager", "motion_manager", "valor_ros_controller", "footstep_converter")
+PROCESSES = ("comms_manager", "motion_manager", "valor_ros_controller", "footstep_converter")
 LIMIT = 120.0  # for anything to happen on a loaded machine that the robot has no part in [s]
 PATIENCE = 60.0  # for what the robot does [robot time, s]
 STILL = 0.01  # a pelvis as slow as that is at rest [m/s]
@@ -279,40 +276,31 @@ def error(sole: Pose, place: Pose) -> tuple[float, float]:
 
 
 @contextmanager
-def system(name: str, number: int, **settings: object) -> Iterator[Walker]:
+def system(name: str, **settings: object) -> Iterator[Walker]:
     """All processes but the recorder, free-running, the robot standing.
 
     Args:
         name: of the instance.
-        number: of the system in this test process, for a ROS domain of its own.
         settings: of the instance.
     """
-    domain = 102 + (os.getpid() + 20 + number) % 60  # away from those that instances choose (1 to 101)
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    made = Instance(name, home)
-    made.logs.mkdir(parents=True)
-    made.bags.mkdir()
-    made.settings_file.write_text(
-        Settings(
-            robot=ROBOTS / "escher", ros_domain_id=domain, real_time_factor=0.0, **settings  # type: ignore[arg-type]
-        ).json()
-    )  # fmt: skip
-    instance = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
     ros = None
     try:
-        for process in PROCESSES:
-            instance.start(process)
-        for process in PROCESSES[1:]:
-            instance.wait_ready(process, LIMIT)
-        ros = RosClient(instance.environment, joint_states=False)
-        walker = Walker(instance, ros)
-        walker.mode("stand")
-        walker.rest()
-        yield walker
+        with fresh_instance(home, name, **settings) as instance:
+            try:
+                for process in PROCESSES:
+                    instance.start(process)
+                for process in PROCESSES:
+                    instance.wait_ready(process, LIMIT)
+                ros = RosClient(instance.environment, joint_states=False)
+                walker = Walker(instance, ros)
+                walker.mode("stand")
+                walker.rest()
+                yield walker
+            finally:
+                if ros is not None:
+                    ros.close()
+                for process in PROCESSES:  # shown with a case that fails
+                    print(f"--- {process}\n{instance.log(process)}")
     finally:
-        if ros is not None:
-            ros.close()
-        instance.close()
-        for process in PROCESSES:  # shown with a case that fails
-            print(f"--- {process}\n{instance.log(process)}")
         shutil.rmtree(home, ignore_errors=True)

@@ -102,7 +102,7 @@ def stands_after_the_plan(walker: Walker) -> bool:
 
 def test_up_the_stairs_and_the_loss_of_the_motion_manager(record_property: Note) -> None:
     """Three steps of 10 cm; on the landing, another plan, in the middle of which nobody controls the robot any more."""
-    with system("stairs", 1, world="stairs", actuators="hardware", seed=2) as walker:
+    with system("stairs", world="stairs", actuators="hardware", seed=2) as walker:
         walker.mode("step")
         walker.rest()
         steps = load(PLANS / "stairs.yaml").steps
@@ -125,7 +125,7 @@ def test_up_the_stairs_and_the_loss_of_the_motion_manager(record_property: Note)
 
 @pytest.fixture(scope="module")
 def flat() -> Iterator[Walker]:
-    with system("steps", 0, actuators="hardware", seed=1) as walker:
+    with system("steps", actuators="hardware", seed=1) as walker:
         yield walker
 
 

@@ -191,10 +191,10 @@ def plan(first: int = 0, count: int = 4) -> StepPlan:
 
 
 @pytest.fixture(scope="module")
-def instance(ros_domain: int) -> Iterator[RunningInstance]:
+def instance() -> Iterator[RunningInstance]:
     """With the converter running: the same for all."""
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    with fresh_instance(home, ros_domain) as running, pytest.MonkeyPatch.context() as environment:
+    with fresh_instance(home) as running, pytest.MonkeyPatch.context() as environment:
         for name, value in running.instance.environment().items():
             environment.setenv(name, value)
         running.start("footstep_converter", wait=True)

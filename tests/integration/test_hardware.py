@@ -75,8 +75,8 @@ def test_a_start_with_another_device_is_refused(instance: RunningInstance, tmp_p
 
 
 @pytest.fixture(scope="module")
-def bench(ros_domain: int) -> Iterator[Bench]:
-    with on_devices(ros_domain, "hdt_driver", "hdt_bridge") as running:
+def bench() -> Iterator[Bench]:
+    with on_devices("hdt_driver", "hdt_bridge") as running:
         yield Bench(running)
 
 

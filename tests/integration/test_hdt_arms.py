@@ -8,6 +8,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +16,7 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
-from valor.common.instance import Instance, Settings
+from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from valor.common.messages import FaultReply, FaultRequest, HdtCommand, HdtState, JointMode
 from valor.common.robot import FloatVector, RobotDescription
 from valor.common.topics import FAULT
@@ -92,23 +92,25 @@ class Bench:
 @pytest.fixture(scope="module")
 def bench() -> Iterator[Bench]:
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    made = Instance("hdt", home)
-    made.logs.mkdir(parents=True)
-    settings = Settings(
-        robot=ROBOTS / "escher",
-        variant="hardware",
-        actuators="hardware",
-        ros_domain_id=102 + os.getpid() % 60,
-        epoch=time.monotonic_ns(),
-    )
-    made.settings_file.write_text(settings.json())
-    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
+    try:
+        with (
+            fresh_instance(home, "hdt", variant="hardware", actuators="hardware", epoch=time.monotonic_ns()) as running,
+            led(running) as bench,
+        ):
+            yield bench
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
+
+
+@contextmanager
+def led(running: RunningInstance) -> Iterator[Bench]:
+    """Its legs and arms found, and led from here."""
     stopping, devices, threads, bench = threading.Event(), list[Device](), list[threading.Thread](), None
     try:
-        for process in ("bifrostd", "device_emulators", "hdt_driver", "hdt_bridge"):
+        for process in ("device_emulators", "hdt_driver", "hdt_bridge"):
             running.start(process)
         running.wait_ready("hdt_driver", PATIENCE)
-        context = DeviceContext(made, settings, ROBOT)
+        context = DeviceContext(running.instance, running.settings, ROBOT)
         hdt = Hdt("hdt", context)
         devices += [SeriesElastic("legs", context), hdt]
         node = running.node("hdt_test")
@@ -146,8 +148,6 @@ def bench() -> Iterator[Bench]:
             thread.join()
         for device in devices:
             device.close()
-        running.close()
-        shutil.rmtree(home, ignore_errors=True)
 
 
 def _first_position(commands: bifrost.Subscriber[HdtCommand], limb: str) -> FloatVector:

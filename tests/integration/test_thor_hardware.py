@@ -52,8 +52,8 @@ class Thor(RobotOnDevices):
 
 
 @pytest.fixture(scope="module")
-def thor(ros_domain: int) -> Iterator[Thor]:
-    with on_devices(ros_domain, robot=ROBOT.folder, actuators="hardware") as running:
+def thor() -> Iterator[Thor]:
+    with on_devices(robot=ROBOT.folder, actuators="hardware") as running:
         yield Thor(running)
 
 

@@ -36,7 +36,7 @@ from valor.common.topics import (
     VALOR_ROS_CONTROLLER_STATISTICS,
 )
 
-SYSTEM = Standing("vrc", 165)
+SYSTEM = Standing("vrc")
 PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
@@ -561,10 +561,10 @@ def test_a_dead_comms_manager_is_named_and_its_return_is_followed(
     ],
 )
 def test_wrong_parameters_end_it_with_one_line(
-    system: RunningInstance, arguments: list[str], words: tuple[str]
+    system: RunningInstance, ros_domain: int, arguments: list[str], words: tuple[str]
 ) -> None:
     command = [sys.executable, "-m", BY_NAME[VRC].module, "--ros-args", *arguments]
-    environment = system.environment | {"ROS_DOMAIN_ID": "166"}
+    environment = system.environment | {"ROS_DOMAIN_ID": str(ros_domain)}
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert result.returncode == EXIT_CONFIGURATION, result.stderr
     assert "Traceback" not in result.stderr, result.stderr

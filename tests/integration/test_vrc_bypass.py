@@ -17,7 +17,7 @@ from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection
 from valor.common.robot import RobotDescription
 from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
 
-SYSTEM = Standing("bypass", 167)
+SYSTEM = Standing("bypass")
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
 SUCCESSFUL = 0

@@ -19,7 +19,7 @@ from tests.integration.documented_interfaces import rows
 from tests.integration.vrc_system import PATIENCE, Standing, go
 from tests.system import RosClient
 
-SYSTEM = Standing("foreign", 169, ("bag_recorder",))
+SYSTEM = Standing("foreign", ("bag_recorder",))
 pytestmark = pytest.mark.timeout(580)
 CLIENT = Path(__file__).with_name("foreign_client.py")
 RARE = ("goal_status", "rejection", "controller_state")  # only on an occasion, or while listened to

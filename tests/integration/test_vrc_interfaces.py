@@ -16,7 +16,7 @@ from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go
 from tests.system import RosClient
 from valor.valor_ros_controller.control_modes import ControlModeTable
 
-SYSTEM = Standing("interfaces", 168, ("footstep_converter",))
+SYSTEM = Standing("interfaces", ("footstep_converter",))
 OF_ROS = ("/rosout", "/parameter_events")
 
 

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.system import RosClient
-from valor.common.instance import Instance, Settings
 from valor.common.messages import ModeStatus
 
 VRC = "valor_ros_controller"
@@ -25,7 +23,6 @@ class Standing:
     """A module's system (its ``SYSTEM``): everything but recorder and footsteps, in real time, and some others."""
 
     name: str
-    ros_domain_id: int
     others: tuple[str, ...] = ()
 
 
@@ -33,20 +30,14 @@ class Standing:
 def standing_robot(wanted: Standing) -> Iterator[RunningInstance]:
     """It runs, with the robot on its feet."""
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    made = Instance(wanted.name, home)
-    made.logs.mkdir(parents=True)
-    made.bags.mkdir()
-    settings = Settings(robot=ROBOTS / "escher", ros_domain_id=wanted.ros_domain_id, real_time_factor=1.0)
-    made.settings_file.write_text(settings.json())
-    running = RunningInstance(made, bifrost.Network.create(made.network_file, made.keys))
     try:
-        for process in ("bifrostd", "comms_manager", "motion_manager", *wanted.others, VRC):
-            running.start(process)
-        for process in (VRC, *wanted.others):
-            running.wait_ready(process, 2 * PATIENCE)
-        yield running
+        with fresh_instance(home, wanted.name, real_time_factor=1.0) as running:
+            for process in ("comms_manager", "motion_manager", *wanted.others, VRC):
+                running.start(process)
+            for process in (VRC, *wanted.others):
+                running.wait_ready(process, 2 * PATIENCE)
+            yield running
     finally:
-        running.close()
         shutil.rmtree(home, ignore_errors=True)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Iterator
@@ -19,11 +18,10 @@ from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, 
 from valor.device_emulators import kinds as emulators
 from valor.device_emulators.emulator import EmulatedFault, Emulator
 from valor.device_emulators.robot import SimulatedRobot
+from valor.valorctl.ros_domain import reserve_for
 
 UNSOUND = (EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE)
 """Faults in which nothing of a unit may be believed."""
-_DOMAIN = 170 + os.getpid() % 60
-"""Of the CAN buses: benches of several processes do not meet, nor instances that have their domains from below 102."""
 
 
 class Bench:
@@ -32,7 +30,10 @@ class Bench:
     def __init__(self, robot: RobotDescription, device: str, home: Path) -> None:
         self.instance = Instance("bench", home)
         self.instance.ports.mkdir(parents=True)
-        self.settings = Settings(robot=robot.folder, ros_domain_id=_DOMAIN, variant="hardware", actuators="ideal")
+        self._domain = reserve_for(self.instance)  # for CAN buses of the bench's own
+        self.settings = Settings(
+            robot=robot.folder, ros_domain_id=self._domain.domain, variant="hardware", actuators="ideal"
+        )
         self.description = robot
         self.device = device
         self.robot = SimulatedRobot(robot, self.settings)
@@ -110,6 +111,7 @@ class Bench:
         self._stop.set()
         self._thread.join()
         self.emulator.close()
+        self._domain.close()
 
 
 def ailing(driver: Device, unit: str, fault: Fault) -> Ailment:

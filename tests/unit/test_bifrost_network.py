@@ -40,7 +40,7 @@ def test_what_is_created_is_loaded_and_fresh_each_time(paths: tuple[Path, Path],
     assert str(loaded.client.secret) not in repr(loaded)
     other = bifrost.Network.create(tmp_path / "other.json", tmp_path / "other")
     assert other.client.public != loaded.client.public
-    again = bifrost.Network.create(*paths, port=23456)
+    again = bifrost.Network.create(*paths, ports=[23456])
     assert bifrost.Network.load(*paths) == again
     assert again.client != loaded.client
     assert again.computer.port == 23456

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,9 +19,8 @@ PATIENCE = 5.0  # [s]
 
 
 @pytest.fixture
-def settings() -> Settings:
-    # A domain by process: tests that run at once must not hear each other.
-    return Settings(robot=Path(), ros_domain_id=os.getpid() % 100)
+def settings(ros_domain: int) -> Settings:
+    return Settings(robot=Path(), ros_domain_id=ros_domain)
 
 
 @pytest.fixture

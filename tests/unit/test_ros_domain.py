@@ -18,7 +18,7 @@ from tests.conftest import wait_until
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl import ros_domain
-from valor.valorctl.ros_domain import DOMAINS, choose, discovery_port, is_free, is_reserved
+from valor.valorctl.ros_domain import DOMAINS, choose, daemon_ports, discovery_port, is_free, is_reserved
 
 _CHOOSER = """
 import sys
@@ -28,7 +28,7 @@ from valor.valorctl import ros_domain
 
 print("ready", flush=True)
 sys.stdin.readline()
-with ros_domain.reserve(Instance("x", Path(sys.argv[1]))) as reservation:
+with ros_domain.reserve_for(Instance("x", Path(sys.argv[1]))) as reservation:
     print(reservation.domain, flush=True)
     sys.stdin.read()
 """
@@ -56,11 +56,18 @@ def test_domains_keep_clear_of_ephemeral_ports() -> None:
 
 
 def test_a_domain_in_use_is_seen() -> None:
-    domain = choose("test", set(), is_free)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("127.0.0.1", discovery_port(domain)))
-        assert not is_free(domain)
-    assert is_free(domain)
+    with ros_domain.reserve("test") as reservation:
+        domain = reservation.domain
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+            participant.bind(("127.0.0.1", discovery_port(domain)))
+            assert not is_free(domain)
+        assert is_free(domain)
+
+
+def test_no_port_belongs_to_two_domains_or_may_be_given_to_an_outgoing_connection() -> None:
+    ports = [port for domain in (0, *DOMAINS) for port in daemon_ports(domain)]
+    assert len(set(ports)) == len(ports)
+    assert max(ports) < 32768
 
 
 def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
@@ -109,11 +116,11 @@ def test_homes_that_choose_at_the_same_moment_get_domains_of_their_own(tmp_path:
 
 
 def test_a_domain_is_held_by_whoever_inherited_it(tmp_path: Path) -> None:
-    with ros_domain.reserve(Instance("x", tmp_path)) as reservation:
+    with ros_domain.reserve_for(Instance("x", tmp_path)) as reservation:
         heir = subprocess.Popen(["sleep", "60"], stdin=reservation.fileno())
     try:
         assert is_reserved(reservation.domain)
-        with ros_domain.reserve(Instance("x", tmp_path)) as other:
+        with ros_domain.reserve_for(Instance("x", tmp_path)) as other:
             assert other.domain != reservation.domain
     finally:
         heir.kill()

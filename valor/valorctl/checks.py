@@ -150,7 +150,7 @@ def _ports(instance: Instance) -> Finding:
             return Finding("ports", "fail", text, "valorctl logs bifrostd; valorctl restart bifrostd")
         return Finding("ports", "ok", f"bifrostd answers at {network.computer.daemon}")
     try:
-        with ros_domain.reserve(instance) as reservation, socket.socket() as probe:
+        with ros_domain.reserve_for(instance) as reservation, socket.socket() as probe:
             domain = reservation.domain
             probe.bind(("127.0.0.1", 0))
     except (ValorError, OSError) as error:

@@ -20,6 +20,7 @@ from valor.common.robot import RobotDescription
 from valor.common.world_names import WORLD_NAMES
 from valor.valorctl import mode_names
 from valor.valorctl.profile import Profile
+from valor.valorctl.ros_domain import daemon_ports
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
         if wanted.bag is not None:
             wanted.bag.parent.mkdir(parents=True, exist_ok=True)
         _rotate_logs(instance)
-        bifrost.Network.create(instance.network_file, instance.keys)
+        bifrost.Network.create(instance.network_file, instance.keys, ports=daemon_ports(ros_domain))
         settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
         _write(instance.settings_file, settings.json())
     except OSError as error:

@@ -1,8 +1,9 @@
-"""The ROS domain of an instance: one that nobody on this computer uses.
+"""The ROS domain of an instance, and the ports that go with it: ones that nobody on this computer uses.
 
 Whoever takes a domain holds a socket of that name in Linux' abstract namespace, which has no file: every user sees it,
 whatever their home, and the kernel takes it away when the last process that holds it ends, however it ends. ``valorctl
-up`` takes it and hands it to supervisord. It is per network namespace, as the ports are that a domain stands for.
+up`` takes it and hands it to supervisord. It is per network namespace, as the ports are that a domain stands for: those
+of discovery, of the CAN buses between devices and their emulators, and of the Bifrost daemon.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import errno
 import hashlib
 import json
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Self
 
@@ -21,6 +22,9 @@ from valor.common.instance import Instance
 
 DOMAINS = range(1, 102)
 """ROS domains whose ports lie below Linux' ephemeral ones; 0 is everybody's."""
+
+
+_DAEMON_PORTS = 120  # TCP, of each domain, from 20000 on
 
 
 class Reservation:
@@ -38,6 +42,10 @@ class Reservation:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give it back, unless somebody inherited it."""
         self._holder.close()
 
     def fileno(self) -> int:
@@ -45,8 +53,12 @@ class Reservation:
         return self._holder.fileno()
 
 
-def reserve(instance: Instance) -> Reservation:
-    """Take a domain for an instance.
+def reserve(key: str, but: Collection[int] = ()) -> Reservation:
+    """Take a domain.
+
+    Args:
+        key: of the same one the same domain is tried first.
+        but: domains that are not to be had.
 
     Raises:
         ValorError: all are taken.
@@ -63,11 +75,16 @@ def reserve(instance: Instance) -> Reservation:
         holders[domain] = holder
         return True
 
-    domain = choose(str(instance.folder), taken(instance.folder.parent, but=instance), take)
+    domain = choose(key, but, take)
     return Reservation(domain, holders[domain])
 
 
-def choose(key: str, taken: set[int], is_free: Callable[[int], bool]) -> int:
+def reserve_for(instance: Instance) -> Reservation:
+    """Take a domain for an instance; raises as ``reserve``."""
+    return reserve(str(instance.folder), taken(instance.folder.parent, but=instance))
+
+
+def choose(key: str, taken: Collection[int], is_free: Callable[[int], bool]) -> int:
     """A ROS domain that nobody uses; the search begins at a place that depends on ``key`` alone.
 
     Raises:
@@ -84,6 +101,11 @@ def choose(key: str, taken: set[int], is_free: Callable[[int], bool]) -> int:
 def discovery_port(domain: int) -> int:
     """The UDP port that the first participant of a domain listens on (DDSI-RTPS 2.2, 9.6.1.1: 7400 + 250·d + 10)."""
     return 7410 + 250 * domain
+
+
+def daemon_ports(domain: int) -> range:
+    """The TCP ports of which the Bifrost daemon of a domain's instance gets one; below Linux' ephemeral ones."""
+    return range(20000 + _DAEMON_PORTS * domain, 20000 + _DAEMON_PORTS * (domain + 1))
 
 
 def is_free(domain: int) -> bool:

@@ -68,7 +68,7 @@ def _bring_up(
     instance: Instance, plan: instance_setup.Plan, progress: Progress, interruption: Interruption
 ) -> Settings:
     processes = plan.profile.table
-    with ros_domain.reserve(instance) as reservation:  # from then on supervisord holds it
+    with ros_domain.reserve_for(instance) as reservation:  # from then on supervisord holds it
         settings = instance_setup.make(instance, plan.settings, reservation.domain)
         interruption.check()
         environment = supervisor_config.environment(instance, sys.executable, os.environ)
