@@ -46,6 +46,8 @@ hypothesis.settings.load_profile("valor")
 # A shell starts what runs in its background with SIGINT ignored, and that is inherited: the processes that tests
 # interrupt would go on for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+PATIENCE = 60.0
+"""For anything to happen on a computer that is busy with other work [s]; what does happen is waited for no longer."""
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -59,8 +61,9 @@ def wait_until(condition: Callable[[], T], timeout: float, what: str, period: fl
     """Poll until ``condition()`` is true; returns what it gave.
 
     Raises:
-        AssertionError: not within ``timeout`` [s]; names ``what``.
+        AssertionError: not within ``timeout`` [s], nor within ``PATIENCE``; names ``what``.
     """
+    timeout = max(timeout, PATIENCE)
     deadline = time.monotonic() + timeout
     while True:
         if value := condition():

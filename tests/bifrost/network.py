@@ -19,6 +19,7 @@ import psutil
 
 import bifrost
 from bifrost import Computer
+from tests.conftest import PATIENCE
 
 T = TypeVar("T")
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -55,6 +56,7 @@ def sample(count: int, size: int = 38) -> Sample:
 
 def until(condition: Callable[[], T], what: str, timeout: float = 10.0) -> T:
     """Poll until true; the failure names what was waited for."""
+    timeout = max(timeout, PATIENCE)
     deadline = time.monotonic() + timeout
     while not (value := condition()):
         assert time.monotonic() < deadline, f"not within {timeout:g} s: {what}"

@@ -52,7 +52,7 @@ class ServoClient:
         """Send a Motor as it is."""
         self._motor.publish(motor)
 
-    def hear(self, timeout: float = 10.0) -> Proprioceptor:
+    def hear(self, timeout: float = 60.0) -> Proprioceptor:
         """The next state."""
         received = self.proprioceptor.receive(timeout=timeout)
         assert received is not None, f"no Proprioceptor within {timeout:g} s"
@@ -60,7 +60,7 @@ class ServoClient:
             self.states.append(received.message)
         return received.message
 
-    def answer_until(self, done: Callable[[Proprioceptor], bool], timeout: float = 60.0) -> Proprioceptor:
+    def answer_until(self, done: Callable[[Proprioceptor], bool], timeout: float = 300.0) -> Proprioceptor:
         """Answer every state until one satisfies ``done``, which is returned unanswered."""
         deadline = time.monotonic() + timeout
         while not done(state := self.hear()):
@@ -68,7 +68,7 @@ class ServoClient:
             assert time.monotonic() < deadline, f"not within {timeout:g} s"
         return state
 
-    def run_to(self, robot_time: float, timeout: float = 60.0) -> Proprioceptor:
+    def run_to(self, robot_time: float, timeout: float = 300.0) -> Proprioceptor:
         """Answer every state until a robot time [s]."""
         return self.answer_until(lambda state: state.time >= robot_time * 1e9, timeout)
 

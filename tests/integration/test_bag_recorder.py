@@ -18,12 +18,13 @@ import pytest
 import rclpy
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Message
 from rclpy.action import ActionServer
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
@@ -116,14 +117,20 @@ def connect(path: Path, publisher: bifrost.Publisher[bifrost.M], message: bifros
     return counts(path)[topic]
 
 
-def newest(path: Path, topic: str) -> int:
+def messages(path: Path, topic: str) -> list[Message]:
+    """Those of a topic that the file holds by now."""
     copy = path.with_suffix(".copy")
     shutil.copyfile(path, copy)
     recover(copy)
     with open(copy, "rb") as file:
-        sequences = [message.sequence for _, _, message in make_reader(file).iter_messages(topics=[topic])]
+        found = [message for _, _, message in make_reader(file).iter_messages(topics=[topic])]
     copy.unlink()
-    return sequences[-1] if sequences else 0
+    return found
+
+
+def newest(path: Path, topic: str) -> int:
+    found = messages(path, topic)
+    return found[-1].sequence if found else 0
 
 
 class Stream(threading.Thread):
@@ -133,13 +140,13 @@ class Stream(threading.Thread):
         super().__init__(daemon=True)
         self._publisher, self._period = publisher, 1.0 / rate
         self.stopping = threading.Event()
-        self.sent: list[tuple[int, int]] = []  # sequence, monotonic time [ns]
+        self.sent: list[int] = []  # sequences
 
     def run(self) -> None:
         sequence = 0
         while not self.stopping.wait(self._period):
             sequence = self._publisher.publish(motor(sequence))
-            self.sent.append((sequence, time.monotonic_ns()))
+            self.sent.append(sequence)
 
     def stop(self) -> None:
         self.stopping.set()
@@ -172,6 +179,7 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
         time.sleep(0.001)  # a stream, not a burst
     ended = time.time_ns()
     wait_until(lambda: has(path, "/joint_states", 500), 20.0, "the ROS messages are in the bag", 0.3)
+    heard = time.time_ns()
     wait_until(
         lambda: has(path, "/bifrost/" + JOINT_SETPOINTS.name, 500 + extra_setpoints), 20.0, "so are Bifrost's", 0.3
     )
@@ -186,10 +194,11 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
         "/bifrost/" + MOTOR.name: 500 + extra,
         "/bifrost/" + JOINT_SETPOINTS.name: 500 + extra_setpoints,
         "/joint_states": 500,
-        "/best_effort": 20,
         "/robot_description": 1,
     }
     assert {topic: len(found[topic]) for topic in expected} == expected
+    told = [int(message.data) for _, message in found["/best_effort"]]
+    assert told == sorted(set(told)) and 0 < len(told) <= 20  # some may be lost
     assert not [topic for topic in found if "/_" in topic], "hidden topics are not recorded"
 
     first = found["/bifrost/" + MOTOR.name][extra][1].bifrost_sequence
@@ -205,7 +214,7 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
             assert getattr(message, name).tobytes() == getattr(sent, name).tobytes(), name
     for number, (timestamp, message) in enumerate(found["/joint_states"], 1):
         assert message.position[0] == number
-        assert began <= timestamp <= ended + 2 * SECOND
+        assert began <= timestamp <= heard
     assert found["/robot_description"][0][1].data == "<robot/>"
 
     with open(path, "rb") as file:
@@ -259,7 +268,8 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
     stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
     stream.start()
     wait_until(lambda: has(first, "/bifrost/" + MOTOR.name, 400), 30.0, "two seconds are in the bag", 0.3)
-    killed = time.monotonic_ns()
+    said = stream.sent[-1]
+    wait_until(lambda: newest(first, "/bifrost/" + MOTOR.name) >= said, 30.0, "so is all that was said by then", 0.3)
     instance.kill("bag_recorder")
 
     second = recorder(instance)
@@ -268,7 +278,7 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
     with open(first, "rb") as file:
         sequences = [m.sequence for _, c, m in make_reader(file).iter_messages() if c.topic.endswith("/motor")]
     assert sequences == list(range(sequences[0], sequences[-1] + 1))
-    assert sequences[-1] >= max(sequence for sequence, at in stream.sent if at < killed - 2 * SECOND)
+    assert sequences[-1] >= said
 
     wait_until(lambda: has(second, "/bifrost/" + MOTOR.name, 100), 30.0, "the new bag goes on", 0.3)
     stream.stop()
@@ -314,10 +324,14 @@ def test_a_publisher_that_offers_less_than_the_others_is_heard_too(instance: Run
     second = ros.create_publisher(String, "/chatter", BEST_EFFORT)
     wait_until(second.get_subscription_count, 20.0, "it subscribes anew, asking for less")
     wait_until(first.get_subscription_count, 20.0, "and still hears the first")
-    for _ in range(10):
+
+    def both() -> bool:  # what is best effort may be lost on its way
         first.publish(String(data="first"))
         second.publish(String(data="second"))
-    wait_until(lambda: has(path, "/chatter", 20), 20.0, "both are in the bag", 0.3)
+        said = (deserialize_message(each.data, String).data for each in messages(path, "/chatter"))
+        return {"first", "second"} == set(said)
+
+    wait_until(both, 20.0, "both are in the bag", 0.3)
     assert instance.stop("bag_recorder") == 0
 
 
@@ -456,7 +470,7 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
         with open(each, "rb") as file:
             sequences += [m.sequence for _, c, m in make_reader(file).iter_messages() if c.topic.endswith("/motor")]
     assert sequences == list(range(sequences[0], sequences[-1] + 1))
-    assert sequences[-1] == stream.sent[-1][0]
+    assert sequences[-1] == stream.sent[-1]
     told = [json.loads(metadata(each, "topics")[0]["/bifrost/" + MOTOR.name]) for each in made]
     assert [each["received"] for each in told] == [each["written"] for each in told]
     with AnyReader(made) as reader:  # the row reads as one bag

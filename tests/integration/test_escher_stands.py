@@ -61,7 +61,7 @@ class Case:
         senses = self.node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=5000)
         truths = self.node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=5000)
         kept: tuple[list[MotionState], list[Proprioceptor], list[GroundTruth]] = ([], [], [])
-        deadline = time.monotonic() + 10.0 + 6.0 * seconds
+        deadline = time.monotonic() + 60.0 + 20.0 * seconds
         while time.monotonic() < deadline:
             bifrost.wait([states], timeout=0.5)
             for subscriber, messages in zip((states, senses, truths), kept, strict=True):

@@ -147,4 +147,5 @@ def test_the_wall_sleeps_no_shorter_than_asked_and_has_itself_woken_at_once() ->
         wall.sleep(0.001)
         assert wall.now() - before >= 0.001 - 1e-5
     assert ctypes.CDLL(None).prctl(30, 0, 0, 0, 0) == 1000, "the timer's slack (PR_GET_TIMERSLACK) [ns]"
-    assert wall.now() == pytest.approx(time.perf_counter(), abs=1.0)
+    before = time.perf_counter()
+    assert before <= wall.now() <= time.perf_counter()

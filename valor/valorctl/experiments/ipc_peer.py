@@ -36,6 +36,9 @@ class Link(Protocol):
     def found(self) -> bool:
         """Whether a subscriber is there."""
 
+    def heard(self) -> None:
+        """Wait until that subscriber has all that was sent: from then on it loses nothing."""
+
     def listen(self, hear: Callable[[float], None], done: threading.Event) -> None:
         """Hand every double that comes to ``hear`` until ``done``."""
 
@@ -58,6 +61,9 @@ class BifrostLink:
     def found(self) -> bool:
         assert self._publisher is not None
         return self._publisher.subscribers > 0
+
+    def heard(self) -> None:
+        """Nothing: a subscriber is found by its subscription, which has reached the publisher."""
 
     def listen(self, hear: Callable[[float], None], done: threading.Event) -> None:
         assert self._subscriber is not None
@@ -89,6 +95,13 @@ class RosLink:
     def found(self) -> bool:
         assert self._publisher is not None
         return bool(self._publisher.get_subscription_count())
+
+    def heard(self) -> None:
+        """Either end discovers the other by itself: that a subscriber is found does not say that it has found us."""
+        from rclpy.duration import Duration
+
+        assert self._publisher is not None
+        self._publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
 
     def listen(self, hear: Callable[[float], None], done: threading.Event) -> None:
         from rclpy.executors import SingleThreadedExecutor
@@ -132,6 +145,9 @@ def main(transport: str, role: str, rate: float, count: int) -> int:
         for i in range(-3, count):  # the first ones warm both ends up; they are not counted
             due += 1.0 / rate
             time.sleep(max(0.0, due - time.monotonic()))
+            if i == 0:
+                link.heard()
+                due = time.monotonic()
             if i >= 0:
                 sent.append((float(i), time.monotonic_ns()))
             link.publish(float(i))
