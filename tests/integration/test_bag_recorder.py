@@ -46,6 +46,7 @@ from valor.common.messages import JointSetpoints, MotionState, Motor, SnapReply,
 from valor.common.service import EXIT_CONFIGURATION
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
 from valor.valorctl import bag_player
+from valor.valorctl.ros_domain import DOMAINS
 
 JOINTS = 38
 SECOND = 1_000_000_000
@@ -533,8 +534,10 @@ def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance)
 
 
 def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
-    instance: RunningInstance, ros: Node, tmp_path: Path
+    instance: RunningInstance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for name, value in instance.instance.environment().items():
+        monkeypatch.setenv(name, value)
     bag = Bag(tmp_path / "played.mcap")
     kept = RecordedTopic("/kept", "std_msgs/msg/String", definition("std_msgs/msg/String"))
     chatter = RecordedTopic("/chatter", "std_msgs/msg/String", definition("std_msgs/msg/String"), "durability: 1", True)
@@ -554,16 +557,20 @@ def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
 
     heard: list[str] = []
     latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # found late, it still hears all
-    ros.create_subscription(String, "/chatter", lambda message: heard.append(message.data), latched)
+    nobodys = domain + len(DOMAINS)  # beyond those of instances, and of no other test
+    context = Context()
+    rclpy.init(context=context, domain_id=nobodys)
+    listener = rclpy.create_node("listener", context=context)
+    listener.create_subscription(String, "/chatter", lambda message: heard.append(message.data), latched)
     elsewhere = Instance("elsewhere", tmp_path)
     done = []
     player = threading.Thread(
-        target=lambda: done.append(bag_player.play(bag.path, elsewhere, domain=domain, **quiet)), daemon=True
+        target=lambda: done.append(bag_player.play(bag.path, elsewhere, domain=nobodys, **quiet)), daemon=True
     )
     began = time.monotonic()
     player.start()
-    executor = SingleThreadedExecutor(context=ros.context)
-    executor.add_node(ros)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(listener)
 
     def spun() -> bool:
         executor.spin_once(timeout_sec=0.05)
@@ -574,3 +581,5 @@ def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
     assert done[0].messages == 7 and list(done[0].skipped) == ["/wand"]
     assert heard == ["0", "1", "2", "3", "4"]
     assert time.monotonic() - began > 0.8
+    listener.destroy_node()
+    context.shutdown()
