@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import bifrost
+from valor.valorctl.ros_domain import daemon_ports
 
 
 @pytest.fixture
@@ -31,7 +32,9 @@ def test_keys_are_their_owners_alone(paths: tuple[Path, Path]) -> None:
     assert mode(file) == 0o600
 
 
-def test_what_is_created_is_loaded_and_fresh_each_time(paths: tuple[Path, Path], tmp_path: Path) -> None:
+def test_what_is_created_is_loaded_and_fresh_each_time(
+    paths: tuple[Path, Path], tmp_path: Path, ros_domain: int
+) -> None:
     loaded = bifrost.Network.load(*paths)
     assert loaded == bifrost.Network.load(*paths)
     assert loaded.computer == loaded.computers[0]
@@ -40,10 +43,11 @@ def test_what_is_created_is_loaded_and_fresh_each_time(paths: tuple[Path, Path],
     assert str(loaded.client.secret) not in repr(loaded)
     other = bifrost.Network.create(tmp_path / "other.json", tmp_path / "other")
     assert other.client.public != loaded.client.public
-    again = bifrost.Network.create(*paths, ports=[23456])
+    ports = daemon_ports(ros_domain)[-3:]
+    again = bifrost.Network.create(*paths, ports=ports)
     assert bifrost.Network.load(*paths) == again
     assert again.client != loaded.client
-    assert again.computer.port == 23456
+    assert again.computer.port in ports
 
 
 def test_from_environment(paths: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
