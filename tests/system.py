@@ -78,7 +78,7 @@ def in_executor(executor: Any, function: Callable[..., Any], *arguments: Any, **
     """
     answer: queue.SimpleQueue[Any] = queue.SimpleQueue()
     executor.create_task(lambda: answer.put(function(*arguments, **more)))
-    return answer.get(timeout=30.0)
+    return answer.get(timeout=60.0)
 
 
 class RosClient:
@@ -163,6 +163,13 @@ class RosClient:
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Call in the executor's thread."""
         return in_executor(self._executor, function, *arguments)
+
+    def destroy(self, destroy: Callable[[Any], object], entity: Any) -> None:
+        """Have a subscription, publisher or client end in the executor's thread.
+
+        That one may be about to wait for it or its events, which ends the executor where it finds them destroyed.
+        """
+        self._call(destroy, entity)
 
     @staticmethod
     def _wait(future: Any, timeout: float, what: str) -> Any:

@@ -160,7 +160,7 @@ class Walker:
         heard = self.ros._call(lambda: node.create_subscription(TFMessage, "/tf", self._keep, 10, raw=True))
         wait_until(lambda: len(self._newest) > 2, LIMIT, "tf")
         found = wait_until(lambda: self.ros._call(look), LIMIT, "the soles in tf")
-        self.ros._call(node.destroy_subscription, heard)
+        self.ros.destroy(node.destroy_subscription, heard)
         return found
 
     def true_soles(self) -> Soles:

@@ -127,7 +127,7 @@ def test_cmd_vel_walks_in_mode_walk_and_nowhere_else(ros: RosClient, node: bifro
     go(ros, "walk")
     wait_until(lambda: walked(0.4), PATIENCE, "walking 0.4 m", period=0.02)
     go(ros, "stand")
-    ros.node.destroy_publisher(publisher)
+    ros.destroy(ros.node.destroy_publisher, publisher)
     motion.close()
 
 
@@ -219,7 +219,7 @@ def test_the_topic_changes_modes_and_an_emergency_stop_keeps_the_balance(ros: Ro
     # What is no message at all leaves the VRC unmoved.
     publisher.publish(b"\x00\x01\x00\x00" + b"\xff" * 40)
     assert ros.change_mode("stand").status == ACCEPTED | DUPLICATE
-    ros.node.destroy_publisher(publisher)
+    ros.destroy(ros.node.destroy_publisher, publisher)
 
 
 def test_goals_are_refused_in_stand(ros: RosClient) -> None:

@@ -36,7 +36,7 @@ def publish(ros: RosClient) -> Iterator[Callable[[str, Any], None]]:
 
     yield send
     for publisher in publishers.values():
-        ros.node.destroy_publisher(publisher)
+        ros.destroy(ros.node.destroy_publisher, publisher)
 
 
 class Rejections:

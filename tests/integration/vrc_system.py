@@ -77,7 +77,7 @@ class Topic:
         ros._executor.wake()
 
     def close(self) -> None:
-        self._ros.node.destroy_subscription(self._subscription)
+        self._ros.destroy(self._ros.node.destroy_subscription, self._subscription)
 
 
 def stamp(message: Any) -> int:
@@ -92,4 +92,4 @@ def ask(ros: RosClient, kind: type, service: str, /, **fields: Any) -> Any:
         assert client.wait_for_service(PATIENCE), f"no service {service}"
         return ros._wait(ros._call(client.call_async, kind.Request(**fields)), PATIENCE, f"{service} to answer")
     finally:
-        ros.node.destroy_client(client)
+        ros.destroy(ros.node.destroy_client, client)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Foot, FootstepExecutionStatus, Step, StepPlan
 
@@ -81,10 +81,15 @@ def flaw(sole: Sole, other: Sole, height: float, swing: float, transfer: float, 
 
 
 def bad(plan: StepPlan, before: Sole, first: int, slack: float) -> bool:
-    """Whether a plan in odom, that begins with step ``first`` while ``before`` stands, is not good as a whole."""
+    """Whether a plan in odom, that begins with step ``first`` while ``before`` stands, is not good as a whole.
+
+    A frame's leading slash says nothing, but all name it alike.
+    """
     frames = [plan.header, plan.start.header, plan.start.left.header, plan.start.right.header]
     frames += [header for step in plan.steps for header in (step.header, step.foot.header)]
-    if plan.header.frame_id != "odom" or any(header.frame_id not in ("", "odom") for header in frames):
+    if plan.header.frame_id.lstrip("/") != "odom" or any(
+        header.frame_id not in ("", plan.header.frame_id) for header in frames
+    ):
         return True
     if not 1 <= len(plan.steps) <= REACH.max_steps:
         return True
@@ -235,6 +240,7 @@ def ready_for(plan: StepPlan) -> Bench:
     return bench
 
 
+@example(make_plan([MOVE] * 3), [setting("header.frame_id", "/odom", 0), setting("start.header.frame_id", "/odom", 0)])
 @given(plans, st.lists(breaks, max_size=4))
 @examples(150)
 def test_a_plan_is_good_as_a_whole_or_moves_nothing(plan: StepPlan, broken: list[Break]) -> None:
