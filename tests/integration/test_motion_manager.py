@@ -243,11 +243,11 @@ def test_the_motion_system_runs_where_ros_cannot_be_imported(instance: RunningIn
 
 
 @pytest.fixture(scope="module")
-def started(ros_domain: int) -> Iterator[MotionSystem]:
+def started() -> Iterator[MotionSystem]:
     """One system for those behind, each of which leaves the robot standing; but for the last two."""
     with (
         tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
-        fresh_instance(Path(home), ros_domain) as running,
+        fresh_instance(Path(home)) as running,
     ):
         yield MotionSystem(running)
 

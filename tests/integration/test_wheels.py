@@ -14,6 +14,7 @@ import pytest
 import bifrost
 from tests import wheels
 from tests.conftest import REPOSITORY, wait_until
+from valor.valorctl.ros_domain import daemon_ports
 
 pytestmark = pytest.mark.timeout(wheels.TIMEOUT)
 DATA = "valor/common/data"
@@ -69,14 +70,14 @@ def test_the_readme_leads_nowhere_that_a_package_page_does_not_have(dist: Path) 
     assert "![" not in metadata and "](" not in metadata.replace("](https://", "")
 
 
-def test_bifrost_works_by_itself(dist: Path, tmp_path: Path) -> None:
+def test_bifrost_works_by_itself(dist: Path, tmp_path: Path, ros_domain: int) -> None:
     wheels.install([only(dist, "valor_bifrost-*.whl")], tmp_path / "venv")
     home = tmp_path / "empty"
     home.mkdir()
     environment = wheels.Environment(tmp_path / "venv", home)
     assert "valor" not in environment.run("python", "-m", "bifrost.cli", "--help").stdout
     assert "No module named 'valor'" in environment.run("python", "-c", "import valor", expect=1).stderr
-    bifrost.Network.create(home / "network.json", home / "keys")
+    bifrost.Network.create(home / "network.json", home / "keys", ports=daemon_ports(ros_domain))
     joined = environment.variables | {
         "BIFROST_NETWORK": str(home / "network.json"), "BIFROST_KEYS": str(home / "keys"),
     }  # fmt: skip

@@ -14,11 +14,12 @@ from tests.bifrost.network import BifrostNetwork, until
 from valor.analysis.lanes import Lane
 from valor.common import trace as trace_module
 from valor.common.trace import Stage, Trace, Tracer, topic
+from valor.valorctl.ros_domain import daemon_ports
 
 
 @pytest.fixture
-def network(tmp_path: Path) -> Iterator[bifrost.Network]:
-    made = BifrostNetwork(tmp_path)
+def network(tmp_path: Path, ros_domain: int) -> Iterator[bifrost.Network]:
+    made = BifrostNetwork(tmp_path, daemon_ports(ros_domain))
     made.start_daemon()
     yield made.network
     made.close()

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import yaml
 from control_msgs.action import FollowJointTrajectory
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.conftest import ROBOTS, RunningInstance, examples, wait_until
 from tests.unit.test_vrc_joint_trajectory_controller import PERIOD, Arm, point
 from tests.unit.test_vrc_trajectory import LIMITS, NOW
 from tests.unit.test_vrc_urdf import NAMES
@@ -54,7 +54,7 @@ place = st.floats(-0.4, 0.4)
 vector = st.tuples(place, place, place)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(st.sampled_from([1, 2, 3]), st.lists(st.tuples(vector, vector, vector), min_size=1, max_size=3))
 def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, states: list[Any]) -> None:
     """Of splines of every order, within every segment."""
