@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,16 @@ import bifrost
 from tests.conftest import wait_until
 from tests.integration.vrc_system import stamp
 from tests.system import RosClient, System, leftovers, running, shared_memory
+from valor.analysis.results import Result
 from valor.common.instance import Instance
 from valor.common.messages import GroundTruth, MotionState, Proprioceptor
 from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.valorctl import demonstration
+from valor.valorctl.console import Progress
+from valor.valorctl.experiments.experiment import Options
+from valor.valorctl.experiments.table import BY_NAME
+from valor.valorctl.interruption import Interruption
 
 SERVICES = {
     "bifrostd", "motion_manager", "comms_manager", "valor_ros_controller", "footstep_converter", "bag_recorder",
@@ -128,6 +135,32 @@ def test_arm_goals_are_refused_in_stand(case: Case) -> None:
     assert answer.result.error_code == INVALID_GOAL
     assert "stand" in answer.result.error_string and "right_arm" in answer.result.error_string
     assert_arm_unmoved(case, before)
+
+
+@pytest.mark.parametrize("case", CASES[:1], indirect=True, ids=["lockstep-seed0"])
+def test_an_experiment_tells_what_each_process_takes(
+    case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the system that stands, in the place of one of its own."""
+    instance = Instance(case.system.name, case.home)
+    monkeypatch.setattr(demonstration, "running", lambda *_: nullcontext(instance.settings()))
+    experiment, options = BY_NAME["process-stats"], Options(tmp_path, quick=True)
+    result, file = experiment.perform(instance, options, Progress(), Interruption())
+    assert Result.load(file.parent) == result
+    (table,) = result.tables
+    rows = {row[0]: [float(value) for value in row[1:]] for row in table.rows}
+    assert set(rows) >= SERVICES
+    for name, (mean, deviation, largest, smallest, memory, most) in rows.items():
+        assert 0.0 <= smallest <= mean <= largest and 0.0 <= deviation <= largest - smallest + 0.1, name
+        assert 1.0 < memory <= most, name
+    assert rows["motion_manager"][0] > 1.0, "it controls a robot all the while"
+    numbers = {measure.name: measure.value for measure in result.measures}
+    assert numbers["VRC memory, mean"] == pytest.approx(rows["valor_ros_controller"][4], abs=0.1)
+    assert numbers["whole system, mean"] == pytest.approx(sum(row[0] for row in rows.values()), abs=0.1 * len(rows))
+    assert (numbers["robot time against the wall's"] or 0.0) > 0.0
+    with open(tmp_path / "process_stats.csv") as opened:
+        assert len(opened.readlines()) > 3
+    assert all((tmp_path / picture.file).stat().st_size > 5_000 for picture in result.pictures)
 
 
 def test_stand_manipulate_and_bad_goals(case: Case) -> None:
