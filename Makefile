@@ -1,48 +1,77 @@
-# make setup | demo | test | fuzz | lint | bench | dist. Everything is installed from PyPI into .venv; see README.md.
+# make setup | demo | test | test-pythons | fuzz | lint | bench | dist. Everything is installed from PyPI into .venv; see README.md.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
-PYTHON ?= python3
+PYTHONS := 3.11 3.12 3.13 3.14
 VENV := .venv
 BIN := $(VENV)/bin
-UV := $(shell command -v uv 2>/dev/null || echo build/uv/bin/uv)
-STAMP := build/setup.stamp
+# Of the environment: the Python that was asked for, else the one it has, else python3.
+PYTHON ?= $(or $(realpath $(BIN)/python),python3)
+# "3.13-usr": it, in the names of files, so that another Python has another environment made. Empty if it does not run.
+PYTHON_ID := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2] + sys.base_prefix.replace("/", "-"))' 2>/dev/null)
+PYTHON_VERSION := $(firstword $(subst -, ,$(PYTHON_ID)))
+UV ?= build/uv/bin/uv
+ENVIRONMENT := $(VENV)/made-with-$(PYTHON_ID)
+STAMP := $(VENV)/setup.stamp
 INTERFACES := $(shell find interfaces -type f)
-WHEELS := build/wheels/interfaces.stamp
+WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test fuzz lint bench mutants lock dist clean
+.PHONY: setup demo test test-quick test-pythons fuzz lint bench mutants lock dist clean known-python
 
 setup: $(STAMP)
+	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
+	@echo "  make demo                             the robot stands, reaches, walks, and draws what it did"
+	@echo "  $(BIN)/valorctl up                a robot of your own; $(BIN)/valorctl --help says what it can do"
 
-build/uv/bin/uv:
-	$(PYTHON) -m venv build/uv
-	build/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
+known-python:
+	@[ -n "$(filter $(PYTHON_VERSION),$(PYTHONS))" ] || { \
+	  echo "make setup: $(PYTHON) is $(if $(PYTHON_ID),Python $(PYTHON_VERSION),no Python that runs here)," \
+	  "needed is one of $(PYTHONS): make setup PYTHON=python3.12" >&2; exit 1; }
 
-$(STAMP): pyproject.toml requirements.txt $(WHEELS)
-	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
+build/uv/bin/uv: | known-python
+	@echo "fetching uv, which installs everything else"
+	@$(PYTHON) -m venv build/uv >/dev/null || \
+	  { echo "make setup: $(PYTHON) cannot make environments (on Debian: python3-venv)" >&2; exit 1; }
+	@build/uv/bin/python -m pip install --quiet --disable-pip-version-check 'uv>=0.8'  # venv --clear
+
+$(ENVIRONMENT): | known-python $(UV)
+	@echo "making $(VENV) with Python $(PYTHON_VERSION)"
+	@$(UV) venv --quiet --clear --python "$$($(PYTHON) -c 'import sys; print(sys._base_executable)')" $(VENV)
+	@touch $@
+
+$(STAMP): pyproject.toml requirements.txt $(ENVIRONMENT) $(WHEELS)/stamp
+	@echo "installing what requirements.txt names"
 	@# The ROS wheels carry egg-infos, which a second sync would take for packages too many and remove, modules and all.
-	rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
-	$(UV) pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes requirements.txt
-	$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces build/wheels/*.whl
-	$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost
+	@rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
+	@$(UV) pip sync --compile-bytecode --python $(BIN)/python --require-hashes requirements.txt
+	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces $(WHEELS)/*.whl
+	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost
 	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
-	$(BIN)/python -m compileall -q bifrost services valor tests
-	touch $@
+	@$(BIN)/python -m compileall -q bifrost services valor tests
+	@touch $@
 
-# The ROS 2 message packages, compiled once. The compiler and the headers are looked for first: their absence would
-# show much later, and darker.
-$(WHEELS): $(INTERFACES) | $(if $(filter build/uv/bin/uv,$(UV)),build/uv/bin/uv)
+# The ROS 2 message packages, compiled once a Python. The compiler and the headers are looked for first: their absence
+# would show much later, and darker.
+$(WHEELS)/stamp: $(INTERFACES) | $(ENVIRONMENT)
 	@command -v "$${CXX:-c++}" >/dev/null || \
 	  { echo "make setup: no C++ compiler; the ROS 2 message packages need one (on Debian: g++)" >&2; exit 1; }
-	$(UV) venv --quiet --allow-existing --python '>=3.11,<3.15' $(VENV)
 	@$(BIN)/python -c "import os, sysconfig as s; exit(not os.path.exists(s.get_path('include') + '/Python.h'))" || \
 	  { echo "make setup: no Python.h; the ROS 2 message packages need it (on Debian: python3-dev)" >&2; exit 1; }
-	rm -rf build/wheels && mkdir -p build/wheels
-	@echo "compiling the ROS 2 message packages, once: about half a minute on two cores"
-	@$(UV) build --wheel --python $(BIN)/python --require-hashes \
-	  --build-constraints interfaces/build-constraints.txt interfaces -o build/wheels >build/interfaces.log 2>&1 || \
-	  { grep -v '^-- ' build/interfaces.log | tail -n 40 >&2; exit 1; }
-	touch $@
+	@rm -rf $(@D) && mkdir -p $(@D)
+	@echo "compiling the ROS 2 message packages for Python $(PYTHON_VERSION), once: about half a minute on two idle cores"
+	@$(UV) build --wheel --python $(BIN)/python --require-hashes --build-constraints interfaces/build-constraints.txt \
+	  interfaces -o $(@D) 2>&1 | tee $(@D)/build.log | $(NINJA_PROGRESS) || \
+	  { grep -v '^-- ' $(@D)/build.log | tail -n 40 >&2; exit 1; }
+	@touch $@
+
+# Of ninja's "[12/482] ..." a line that replaces itself; where that cannot be, one line a fifth.
+define NINJA_PROGRESS
+{ told=0; while IFS= read -r line; do \
+  if [[ $$line =~ ^\[([0-9]+)/([0-9]+)\] ]]; then done=$${BASH_REMATCH[1]} all=$${BASH_REMATCH[2]}; \
+    if [ -t 1 ]; then printf '\r  %s of %s steps ' $$done $$all; \
+    elif [ $$((5 * done / all)) -gt $$told ]; then told=$$((5 * done / all)); echo "  $$done of $$all steps"; fi; \
+  fi; done; [ ! -t 1 ] || echo; }
+endef
 
 demo: $(STAMP)
 	$(BIN)/valorctl demo
@@ -51,9 +80,16 @@ demo: $(STAMP)
 # they want the processor to themselves.
 test: $(STAMP) lint
 	@status=0; \
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance tests/bifrost || status=1; \
+	$(MAKE) --no-print-directory test-quick || status=1; \
 	$(BIN)/python -m pytest tests/integration || status=1; \
 	exit $$status
+
+test-quick: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance tests/bifrost
+
+# The quick tests on every other Python that is found here.
+test-pythons: $(STAMP)
+	.ci/pythons $(PYTHON_VERSION) $(PYTHONS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -85,7 +121,7 @@ mutants: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 nice $(BIN)/python tests/mutants.py $(PACKAGE) --sample $(or $(SAMPLE),100) --seed $(or $(SEED),0)
 
 # Versions and hashes of all that is installed, from the bounds in pyproject.toml.
-lock:
+lock: $(ENVIRONMENT)
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
 	  --no-emit-package valor-bifrost --no-emit-package valor-interfaces --group dev pyproject.toml -o requirements.txt
 	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('interfaces/pyproject.toml', 'rb'))['build-system']['requires'], 'cmake', 'ninja', sep='\n')" | \
@@ -98,7 +134,7 @@ dist: $(STAMP)
 	for project in . bifrost; do $(UV) build --quiet --python $(BIN)/python $$project -o dist; done
 	$(UV) build --quiet --sdist --python $(BIN)/python --require-hashes \
 	  --build-constraints interfaces/build-constraints.txt interfaces -o dist
-	cp $(dir $(WHEELS))*.whl dist
+	cp $(WHEELS)/*.whl dist
 	$(UV) tool run --quiet --python $(BIN)/python --from 'twine>=6.1' twine check --strict dist/*.whl dist/*.tar.gz
 	@du -h dist/*.whl dist/*.tar.gz
 
