@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -10,9 +11,10 @@ from typing import Protocol
 from mcap.writer import CompressionType
 
 from valor.bag_recorder.quick_writer import QuickWriter
+from valor.common.bag_index import LIBRARY, PROFILE
 
+_LOCK_TRIES, _LOCK_PAUSE = 100, 0.002  # [s]
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
-PROFILE = "ros2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class _File:
 
     def __init__(self, path: Path) -> None:
         self._raw = open(path, "xb", buffering=0)  # noqa: SIM115  # closed by ``close``
-        fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)  # tells a recovery that somebody writes
+        self._lock()
         self._position = 0
 
     def write(self, data: bytes) -> int:
@@ -55,6 +57,17 @@ class _File:
 
     def tell(self) -> int:
         return self._position
+
+    def _lock(self) -> None:
+        """Tell others that somebody writes. Whoever looks just then whether somebody does holds it for a moment."""
+        for last in (*[False] * _LOCK_TRIES, True):
+            try:
+                fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            except BlockingIOError:
+                if last:
+                    raise
+                time.sleep(_LOCK_PAUSE)
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -81,7 +94,7 @@ class Bag:
         self.written: dict[str, int] = {}
         self._file = _File(path)
         self._writer = QuickWriter(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
-        self._writer.start(PROFILE, "valor")
+        self._writer.start(PROFILE, LIBRARY)
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}
 

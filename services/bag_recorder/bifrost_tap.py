@@ -5,14 +5,16 @@ from __future__ import annotations
 import logging
 import struct
 from collections.abc import Sequence
+from typing import cast
 
 import bifrost
 from valor.bag_recorder.bag import RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
+from valor.common.messages import MotionState
 from valor.common.selection import EVERYTHING, Selection
-from valor.common.topics import TOPICS, Topic
+from valor.common.topics import MOTION_STATE, TOPICS, Topic
 
 PREFIX = "/bifrost/"
 QUEUE = 4000  # messages a topic: eight seconds at 500 Hz while the recorder is held up
@@ -24,6 +26,7 @@ class _Tap:
     """One topic."""
 
     def __init__(self, node: bifrost.Node, topic: Topic) -> None:
+        self.name = topic.name
         self.subscriber = node.subscriber(topic.name, topic.type, queue=QUEUE)
         self.every = topic.record_every
         self.encode = TwinEncoder(topic.type).encode
@@ -39,7 +42,11 @@ class _Tap:
 
 
 class BifrostTap:
-    """Subscribes to every topic that is recorded, and hands on what has come."""
+    """Subscribes to every topic that is recorded, and hands on what has come.
+
+    Attributes:
+        state: the Motion Manager's newest word, if that is recorded and has come.
+    """
 
     def __init__(
         self,
@@ -49,6 +56,7 @@ class BifrostTap:
         selection: Selection = EVERYTHING,
     ) -> None:
         self._offset = clock.offset
+        self.state: bifrost.Received[MotionState] | None = None
         self._taps = [
             _Tap(node, topic) for topic in topics if topic.record_every > 0 and PREFIX + topic.name in selection
         ]
@@ -70,6 +78,8 @@ class BifrostTap:
         for tap in self._taps:
             waiting = tap.subscriber.drain()
             tap.received += len(waiting)
+            if waiting and tap.name == MOTION_STATE.name:
+                self.state = cast("bifrost.Received[MotionState]", waiting[-1])
             if sink is None:
                 tap.unwritten += len(waiting)
                 continue

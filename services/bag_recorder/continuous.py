@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import time
 
 from valor.bag_recorder.bag import Bag, RecordedTopic, Sink
 from valor.bag_recorder.clock import ClockChange, WallClock
+from valor.bag_recorder.falls import FALL, Falls
 from valor.bag_recorder.shelf import Shelf, told, wall_time
-from valor.common.instance import Recording
+from valor.common.messages import MotionState
 
 FLUSH_PERIOD = 0.5  # what SIGKILL may lose [s]
 SPACE_PERIOD = 1.0  # between two looks at the disk [s]
 RETRY_PERIOD = 5.0  # after a bag could not be written [s]
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)  # another day it may not be
 
 _log = logging.getLogger("bag_recorder")
 
@@ -20,19 +24,32 @@ _log = logging.getLogger("bag_recorder")
 class Continuous:
     """A sink that writes all at once.
 
+    Args:
+        shelf: where bags come from.
+        clock: by which they are stamped.
+        size: of a bag, after which the next begins [B].
+        age: likewise [s].
+
     Attributes:
         failure: why nothing is recorded now; empty: it is.
 
     Raises:
-        OSError: by the constructor: the first bag cannot be written.
+        OSError: by the constructor: no bag can be written there, and not because the disk is full.
     """
 
-    def __init__(self, shelf: Shelf, clock: WallClock, settings: Recording) -> None:
-        self._shelf, self._clock, self._settings = shelf, clock, settings
+    def __init__(self, shelf: Shelf, clock: WallClock, size: float, age: float) -> None:
+        self._shelf, self._clock = shelf, clock
+        self._size, self._age = size, age
         self.failure = ""
         self._bag: Bag | None = None
+        self._falls = Falls()
         self._begun = self._next_flush = self._next_look = self._next_try = 0.0
-        self._begin()
+        try:
+            self._begin()
+        except OSError as error:
+            if error.errno not in _FULL:
+                raise
+            self.failed(error)
 
     @property
     def sink(self) -> Sink | None:
@@ -69,6 +86,15 @@ class Continuous:
             self._next_look = now + SPACE_PERIOD
             self._shelf.check_space(bag.path.parent)
 
+    def heard(self, state: MotionState, stamp: int) -> None:
+        """The Motion Manager's newest word, and when it was said [ns, wall clock]: a fall is noted in the bag.
+
+        Raises:
+            OSError: the bag cannot be written.
+        """
+        if self._falls.begins(state) and self._bag is not None:
+            self._shelf.event(self._bag, FALL, stamp, state.reason)
+
     def note(self, change: ClockChange) -> None:
         """The wall clock has moved."""
         if self._bag is not None:
@@ -79,9 +105,9 @@ class Continuous:
         bag, self._bag = self._bag, None
         if bag is not None:
             self.failure = self._shelf.give_up(bag, error)
-        else:  # the next of a row could not be begun
+        else:  # the first, or the next of a row, could not be begun
             self.failure = told(error, self._shelf.place())
-            _log.error("stopped recording: %s", self.failure)
+            _log.error("not recording: %s", self.failure)
         self._next_try = time.monotonic() + RETRY_PERIOD
 
     def close(self) -> None:
@@ -100,12 +126,12 @@ class Continuous:
         self._shelf.add_latched(bag, wall_time(self._clock))
 
     def _is_full(self, bag: Bag, now: float) -> bool:
-        seconds = self._settings.split_seconds
-        return bag.size >= self._settings.split_bytes or (seconds is not None and now - self._begun >= seconds)
+        return bag.size >= self._size or now - self._begun >= self._age
 
     def _try_again(self, now: float) -> None:
         self._next_try = now + RETRY_PERIOD
         try:
+            self._shelf.check_space(self._shelf.place().parent)
             self._shelf.recover_unfinished()
             self._begin()
         except OSError:

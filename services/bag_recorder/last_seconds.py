@@ -8,6 +8,7 @@ from collections import deque
 
 from valor.bag_recorder.bag import RecordedTopic, Sink
 from valor.bag_recorder.clock import ClockChange
+from valor.bag_recorder.falls import FALL, Falls
 from valor.bag_recorder.shelf import Shelf, told
 from valor.common.messages import MotionState, SnapReply
 
@@ -33,7 +34,8 @@ class LastSeconds:
         self._ring: deque[tuple[float, RecordedTopic, int, int, int, bytes]] = deque()
         self._size = 0
         self._now = time.monotonic()
-        self._fallen = False
+        self._falls = Falls()
+        self._event = (0, "")  # the last fall: when [ns], and why
         self._save_at: float | None = None
         self._told = False
 
@@ -49,19 +51,21 @@ class LastSeconds:
         self._ring.append((self._now, topic, log_time, publish_time, sequence, data))
         self._size += len(data) + _OVERHEAD
 
-    def heard(self, state: MotionState) -> None:
-        """The Motion Manager's newest word: a fall is saved, once its end has been seen."""
-        fallen = state.behavior == "fall"
-        if fallen and not self._fallen and self._save_at is None:
+    def heard(self, state: MotionState, stamp: int) -> None:
+        """The Motion Manager's newest word, and when it was said [ns, wall clock].
+
+        A fall is saved, once its end has been seen.
+        """
+        if self._falls.begins(state) and self._save_at is None:
             self._save_at = time.monotonic() + AFTER_FALL
-        self._fallen = fallen
+            self._event = (stamp, state.reason)
 
     def attend(self) -> None:
         """Forget what is too old, save what is due."""
         self._now = now = time.monotonic()
         if self._save_at is not None and now >= self._save_at:
             self._save_at = None
-            self.snap("fall")
+            self.snap(FALL)
         oldest = now - self._seconds
         ring = self._ring
         while ring and (ring[0][0] < oldest or self._size > self._limit):
@@ -84,6 +88,8 @@ class LastSeconds:
             self._shelf.add_latched(bag, min(entry[2] for entry in self._ring), but=held)
             for _, topic, log_time, publish_time, sequence, data in self._ring:
                 bag.write(topic, log_time, publish_time, sequence, data)
+            if label == FALL:
+                self._shelf.event(bag, FALL, *self._event)
             messages = bag.messages
             self._shelf.finish(bag)
         except OSError as error:
@@ -106,7 +112,7 @@ class LastSeconds:
     def close(self) -> None:
         """Save a fall that was still going on."""
         if self._save_at is not None:
-            self.snap("fall")
+            self.snap(FALL)
 
 
 def _refused(reason: str) -> SnapReply:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 
 from valor.bag_recorder.bifrost_tap import BifrostTap
@@ -12,6 +13,7 @@ from valor.bag_recorder.definitions import UnknownTypeError
 from valor.bag_recorder.last_seconds import LastSeconds
 from valor.bag_recorder.ros_tap import RosTap
 from valor.bag_recorder.shelf import Shelf, told
+from valor.common import recordings
 from valor.common.errors import ConfigurationError
 from valor.common.messages import MotionState, SnapReply, SnapRequest
 from valor.common.resources import REPAIR
@@ -56,7 +58,7 @@ class BagRecorder:
             _log.info("holding the last %g s", settings.ring_seconds)
             return
         try:
-            self._recording = Continuous(self._shelf, self._clock, settings)
+            self._recording = Continuous(self._shelf, self._clock, *_piece(context))
         except OSError as error:
             self._ros.close()
             raise ConfigurationError(told(error, self._shelf.place())) from None
@@ -65,7 +67,7 @@ class BagRecorder:
         """Record until told to stop."""
         self._ros.discover()
         quiet_collector()
-        self._statistics.state("ready")
+        self._tell_state()
         now = time.monotonic()
         next_discovery, next_clock = now + DISCOVERY_PERIOD, now + CLOCK_PERIOD
         trace = self._context.trace
@@ -101,6 +103,7 @@ class BagRecorder:
         except OSError as error:
             self._recording.failed(error)
         self._shelf.tell()
+        self._shelf.close()
         self._ros.close()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
@@ -108,15 +111,14 @@ class BagRecorder:
         return self._bifrost.counts | self._ros.counts
 
     def _drain(self) -> None:
-        if isinstance(self._recording, LastSeconds):
-            state = self._states.latest()
-            if state is not None:
-                self._recording.heard(state.message)
         sink = self._recording.sink
         self._bifrost.drain(sink)
         self._context.trace.mark(Stage.DRAIN_BIFROST)
         self._ros.drain(sink)
         self._context.trace.mark(Stage.DRAIN_ROS)
+        state = self._states.latest() if isinstance(self._recording, LastSeconds) else self._bifrost.state
+        if state is not None:
+            self._recording.heard(state.message, state.stamp + self._clock.offset)
 
     def _check_clock(self) -> None:
         change = self._clock.check()
@@ -127,7 +129,7 @@ class BagRecorder:
     def _tell_state(self) -> None:
         failure = self._recording.failure
         if failure:
-            self._statistics.state("starting", f"not recording: {failure}")
+            self._statistics.state("degraded", f"not recording: {failure}")
         else:
             self._statistics.state("ready")
 
@@ -138,3 +140,13 @@ class BagRecorder:
         _log.info("asked by %s to save the last seconds", origin)
         self._drain()
         return self._recording.snap("snap")
+
+
+def _piece(context: Context) -> tuple[float, float]:
+    """Size [B] and age [s] at which the next bag begins: as told, and among those that are bounded what fits in."""
+    settings, bags = context.settings.recording, context.instance.bags
+    size, age = float(settings.split_bytes), settings.split_seconds or math.inf
+    if context.settings.bag is None:
+        largest, longest = settings.bounds.piece(recordings.disk_of(bags).capacity)
+        size, age = min(size, largest), min(age, longest)
+    return size, age

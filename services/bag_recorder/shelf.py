@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
+import errno
 import logging
 import os
-import shutil
 import socket
 import time
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 
+import msgspec
+
 from valor.bag_recorder import tally
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.clock import ClockChange, WallClock
-from valor.common import rosbag2_metadata
-from valor.common.bag_index import BagError
+from valor.bag_recorder.housekeeper import Housekeeper
+from valor.common import recordings
+from valor.common.bag_index import EVENT, BagError
 from valor.common.bag_recovery import recover
 from valor.common.errors import ConfigurationError
+from valor.common.recordings import Unfinished
 from valor.common.service import Context
+from valor.common.table import plain
 
 SUFFIX = ".mcap"
 SPACE_KEPT = 64 << 20  # the disk is never filled beyond this [B]
@@ -41,11 +46,12 @@ class Shelf:
 
     def __init__(self, context: Context, clock: WallClock, counts: Callable[[], Mapping[str, tuple[int, int]]]) -> None:
         self._context, self._clock, self._counts = context, clock, counts
-        self._notes = _Notes(context.instance.folder / "bag_recorder.json")
+        self._notes = _Notes(context.instance.folder)
         self._tally = tally.Tally()
         self._latched: dict[RecordedTopic, tuple[int, int, bytes]] = {}
         self._folder = self._recording_folder()
-        self._notes.recover_unfinished()
+        recovered = self._notes.recover_unfinished()
+        self._keeper = Housekeeper(context.instance.bags, context.settings.recording.bounds, recovered)
 
     def place(self, label: str = "") -> Path:
         """Where the settings want the next bag: in the file that they name, else in a folder of its own name.
@@ -57,14 +63,15 @@ class Shelf:
             return wanted.with_stem(f"{wanted.stem}_{label}") if label else wanted
         folder = self._folder
         if label:
-            folder = _unused(folder.with_name(f"{folder.name if folder == wanted else _now()}_{label}"))
+            name = folder.name if folder == wanted else recordings.name_of(datetime.now())
+            folder = _unused(folder.with_name(f"{name}_{label}"))
         return folder / f"{folder.name}{SUFFIX}"
 
     def _recording_folder(self) -> Path:
         """The named folder, also when a recorder before this one has begun it; in a folder of bags one by the time."""
         wanted = self._context.settings.bag
         if wanted is None or (wanted.is_dir() and not (wanted / f"{wanted.name}{SUFFIX}").exists()):
-            return _unused((wanted or self._context.instance.bags) / _now())
+            return _unused((wanted or self._context.instance.bags) / recordings.name_of(datetime.now()))
         if wanted.suffix not in ("", SUFFIX):
             raise ConfigurationError(f"bag: {wanted}: expected a folder or a name that ends in {SUFFIX}")
         return wanted
@@ -83,6 +90,7 @@ class Shelf:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self.check_space(path.parent)
+            self._keep_if_named(path.parent)
             bag = Bag(path)
             self._notes.begun(path)
             bag.add_metadata("valor", self._origin())
@@ -113,7 +121,7 @@ class Shelf:
         bag.close()
         self._tally.settle(received, bag.written)
         self._notes.finished(bag.path)
-        _describe(bag.path)
+        self._keeper.finished(bag.path)
         _log.info("%s: finished with %d messages", bag.path, bag.messages)
 
     def give_up(self, bag: Bag, error: OSError) -> str:
@@ -125,14 +133,19 @@ class Shelf:
         try:
             recover(bag.path)
             self._notes.finished(bag.path)
-            _describe(bag.path)
+            self._keeper.finished(bag.path)
         except (BagError, OSError) as failed:
             _log.error("left to be finished later: %s", failed)
         return reason
 
     def recover_unfinished(self) -> None:
         """Finish what could not be finished before."""
-        self._notes.recover_unfinished()
+        for path in self._notes.recover_unfinished():
+            self._keeper.finished(path)
+
+    def close(self) -> None:
+        """See that rosbag2 knows of all that is finished."""
+        self._keeper.close()
 
     def note(self, bag: Bag, change: ClockChange) -> None:
         """Write into a bag how the wall clock moved.
@@ -142,14 +155,27 @@ class Shelf:
         """
         bag.add_metadata(f"clock_{change.kind}", change.metadata())
 
+    def event(self, bag: Bag, what: str, stamp: int, reason: str) -> None:
+        """Write into a bag what happened, and when [ns, wall clock].
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        bag.add_metadata(EVENT, {"what": what, "stamp_ns": str(stamp), "reason": reason})
+
+    def _keep_if_named(self, folder: Path) -> None:
+        """Where somebody said where to record, that stays, even by a name and in a place as of ours."""
+        if self._context.settings.bag == folder and folder.parent == self._context.instance.bags:
+            (folder / recordings.KEEP).touch()
+
     def check_space(self, folder: Path) -> None:
         """See that the disk is not full.
 
         Raises:
             OSError: it nearly is.
         """
-        if shutil.disk_usage(folder).free < SPACE_KEPT:
-            raise OSError(None, f"less than {SPACE_KEPT >> 20} MiB are left on the disk", str(folder))
+        if recordings.disk_of(folder).free < SPACE_KEPT:
+            raise OSError(errno.ENOSPC, f"less than {SPACE_KEPT >> 20} MiB are left on the disk", str(folder))
 
     def tell(self) -> None:
         """Print what became of each topic since start."""
@@ -179,38 +205,36 @@ class Shelf:
 class _Notes:
     """A file in the instance's folder that names the bags not finished yet."""
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._file = folder, recordings.notes_file(folder)
 
-    def recover_unfinished(self) -> None:
-        """Finish what an earlier run of this instance left."""
-        for path in self._unfinished():
+    def recover_unfinished(self) -> list[Path]:
+        """Finish what an earlier run of this instance left; returns what is finished now."""
+        finished, left = [], []
+        for path in recordings.unfinished(self._folder):
             try:
                 found = recover(path)
-                _describe(path)
+                finished.append(path)
                 _log.info("%s: recovered, %d messages", path, found.messages)
             except BagError as error:
                 _log.warning("not recovered: %s", error)
-        self._file.unlink(missing_ok=True)
+                left += [path] if path.exists() else []  # on a full disk it cannot be; there will be room again
+        with contextlib.suppress(OSError):
+            self._write(left)
+        return finished
 
     def begun(self, path: Path) -> None:
-        self._write([*self._unfinished(), path])
+        self._write([*recordings.unfinished(self._folder), path])
 
     def finished(self, path: Path) -> None:
-        self._write([each for each in self._unfinished() if each != path])
-
-    def _unfinished(self) -> list[Path]:
-        try:
-            return [Path(name) for name in json.loads(self._file.read_text())["unfinished"]]
-        except (OSError, ValueError, KeyError, TypeError):
-            return []
+        self._write([each for each in recordings.unfinished(self._folder) if each != path])
 
     def _write(self, paths: list[Path]) -> None:
         if not paths:
             self._file.unlink(missing_ok=True)
             return
         beside = self._file.with_suffix(".new")
-        beside.write_text(json.dumps({"unfinished": [str(path) for path in paths]}))
+        beside.write_bytes(msgspec.json.encode(plain(Unfinished(unfinished=tuple(paths)))))
         os.replace(beside, self._file)
 
 
@@ -222,19 +246,6 @@ def wall_time(clock: WallClock) -> int:
 def told(error: OSError, path: Path) -> str:
     """What went wrong with which file, in one line."""
     return f"{error.filename or path}: {error.strerror or error}"
-
-
-def _describe(bag: Path) -> None:
-    """Tell rosbag2 of a bag that is finished, if it stands in a folder of its own."""
-    if rosbag2_metadata.is_own_folder(bag):
-        try:
-            rosbag2_metadata.write(bag.parent)
-        except OSError as error:
-            _log.warning("%s: the folder is left without a new %s", told(error, bag), rosbag2_metadata.FILE)
-
-
-def _now() -> str:
-    return f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
 
 
 def _unused(path: Path) -> Path:

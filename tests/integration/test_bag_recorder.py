@@ -302,7 +302,7 @@ def test_a_disk_that_fills_up_costs_no_more_than_what_does_not_fit(instance: Run
     process = psutil.Process(instance.process("bag_recorder").pid)
     _, hard = process.rlimit(psutil.RLIMIT_FSIZE)
     process.rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + (64 << 10), hard))
-    told = wait_until(lambda: heard("starting"), 20.0, "the recorder says that it does not record")
+    told = wait_until(lambda: heard("degraded"), 20.0, "the recorder says that it does not record")
     assert "not recording: " in told.detail and path.name in told.detail and "File too large" in told.detail
     assert recover(path).finished
     kept = counts(path)["/bifrost/" + MOTOR.name]

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from valor.bag_recorder.tally import Count, Tally, table
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Recording
+from valor.common.retention import Bounds
 from valor.common.selection import EVERYTHING, Selection
-from valor.valorctl.recording_options import recording
+from valor.valorctl.recording_options import bounds, recording
 
 
 def test_patterns_choose_topics() -> None:
@@ -36,16 +37,47 @@ def test_options_become_settings() -> None:
         (["10"], None, "--bag-split 10: expected a size or a time"),
         (["10 furlongs"], None, "--bag-split 10 furlongs: expected a size or a time"),
         (["-3s"], None, "--bag-split -3s: expected"),
-        (["1MB", "2MB"], None, "--bag-split 2MB: expected one size and one time"),
+        (["1MB", "2MB"], None, "--bag-split 2MB: expected one of each kind at most"),
         (["1kB"], None, "--bag-split: .*1048576.*, got 1000"),
         ([], 0.0, "--bag-ring: .*, got 0"),
-        ([], float("nan"), "--bag-ring: "),
+        ([], float("nan"), "--bag-ring: expected a finite number, got nan$"),
         (["10s"], 5.0, "--bag-ring and --bag-split: expected one of them"),
     ],
 )
 def test_options_that_cannot_be_are_refused(split: list[str], ring: float | None, told: str) -> None:
     with pytest.raises(ConfigurationError, match=told) as caught:
         recording((), (), split, ring)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], Bounds()),
+        (["5GB", "12h", "25%"], Bounds(age=43200.0, size=5 * 10**9, share=0.25)),
+        (["500 MB"], Bounds(size=500_000_000)),
+        (["none"], Bounds(age=None, size=None, share=None)),
+    ],
+)
+def test_words_become_bounds(words: list[str], expected: Bounds) -> None:
+    assert bounds(words, Bounds()) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["5"], "--bag-bound 5: expected a size, an age or a part of the disk"),
+        (["5 parsecs"], "--bag-bound 5 parsecs: expected"),
+        (["120%"], "--bag-bound: .* <= 1.*, got 1.2"),
+        (["1MB"], "--bag-bound: .*8388608.*, got 1000000"),
+        (["0d"], "--bag-bound: .*, got 0"),
+        (["5GB", "6GB"], "--bag-bound 6GB: expected one of each kind"),
+        (["none", "6GB"], "--bag-bound none 6GB: expected none by itself"),
+    ],
+)
+def test_bounds_that_cannot_be_are_refused(words: list[str], told: str) -> None:
+    with pytest.raises(ConfigurationError, match=told) as caught:
+        bounds(words, Bounds())
     assert "\n" not in str(caught.value)
 
 

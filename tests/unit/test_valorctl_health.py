@@ -30,6 +30,7 @@ def word(state: str, pid: int = 7, age: float = 0.5) -> Word:
         (info(ProcessState.RUNNING), word("ready"), "ready", ""),
         (info(ProcessState.RUNNING), word("starting"), "starting", "waits for y"),
         (info(ProcessState.STARTING), word("starting"), "starting", "waits for y"),
+        (info(ProcessState.RUNNING), word("degraded"), "degraded", "waits for y"),
         (info(ProcessState.RUNNING), word("stopping"), "stopped", ""),
         (info(ProcessState.RUNNING), word("ready", age=SILENCE + 1), "failed", "silent"),
         (info(ProcessState.RUNNING), word("ready", pid=6), "failed", "no word"),

@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
-from valor.common.bag_index import BagError, read_index
+from valor.common.bag_index import LIBRARY, PROFILE, BagError, read_index
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
@@ -196,7 +196,7 @@ def _write_end(file: BinaryIO, contents: _Contents) -> None:
     if not contents.end:
         builder.write(MCAP0_MAGIC)
     if not contents.has_header:
-        records.Header("ros2", "valor").write(builder)
+        records.Header(PROFILE, LIBRARY).write(builder)
     if contents.last_indices:
         chunk = contents.chunks[-1]
         start = builder.count

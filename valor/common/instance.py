@@ -16,6 +16,7 @@ from msgspec import Meta, field
 
 from valor.common.errors import ConfigurationError
 from valor.common.resources import middleware_profile
+from valor.common.retention import Bounds
 from valor.common.table import Table, checked, plain
 
 DEFAULT_NAME = "default"
@@ -34,6 +35,7 @@ class Recording(Table):
     split_bytes: Annotated[int, Meta(ge=1 << 20)] = 4_000_000_000
     split_seconds: Annotated[float, Meta(ge=1.0)] | None = None  # [s]
     ring_seconds: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
+    bounds: Bounds = Bounds()  # of all recordings in the instance's folder
 
 
 class Settings(Table, kw_only=True):

@@ -389,8 +389,8 @@ class Statistics(Message):
 
     service: str
     pid: int
-    state: str  # starting, ready, stopping
-    detail: str  # what it waits for while starting
+    state: str  # starting, ready, degraded, stopping
+    detail: str  # what it waits for while starting; what it cannot do while degraded
     cycles: int  # of its main loop since start
     cycle_time_mean: float  # spent working a cycle, over the last second [s]
     cycle_time_max: float

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+RECORDER = "bag_recorder"
+
 Cores = Literal["own", "others", "any"]
 Turns = Literal["short", "usual", "background"]
 

@@ -7,22 +7,62 @@ own indices, so that it can be written anew at any time.
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from valor.common.bag_index import BagError, BagIndex, read_index
+from valor.common.bag_index import EVENT, BagError, BagIndex, read_index, read_metadata
 
 FILE = "metadata.yaml"
 SUFFIX = ".mcap"
 VERSION, DISTRIBUTION = 9, "jazzy"
+_TOPICS = "topics_with_message_count"
 
 
 def is_own_folder(bag: Path) -> bool:
     """Whether a bag stands in a folder of its own name: ``walk/walk.mcap``, ``walk/walk_1.mcap``."""
     folder = bag.parent.name
     return bag.stem == folder or bag.stem.startswith(f"{folder}_")
+
+
+@dataclass(frozen=True)
+class Head:
+    """What ``metadata.yaml`` says of a recording as a whole.
+
+    Attributes:
+        start: of the first message, wall clock [s].
+        duration: from the first message to the last [s].
+        messages: how many.
+        events: what happened, by when (ISO 8601).
+    """
+
+    start: float
+    duration: float
+    messages: int
+    events: dict[str, str]
+
+
+def head(folder: Path) -> Head | None:
+    """What stands in ``metadata.yaml`` before its long list of topics; None: there is none that we can read."""
+    lines = []
+    try:
+        with open(folder / FILE) as file:
+            for line in file:
+                if line.strip() == f"{_TOPICS}:":
+                    break
+                lines.append(line)
+        said = yaml.safe_load("".join(lines))["rosbag2_bagfile_information"]
+        return Head(
+            said["starting_time"]["nanoseconds_since_epoch"] * 1e-9,
+            said["duration"]["nanoseconds"] * 1e-9,
+            said["message_count"],
+            {str(when): str(what) for when, what in (said.get("custom_data") or {}).items()},
+        )
+    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+        return None
 
 
 def write(folder: Path) -> Path | None:
@@ -36,7 +76,7 @@ def write(folder: Path) -> Path | None:
     if not found:
         return None
     found.sort(key=lambda each: (each[1].statistics.message_start_time, each[0].name))
-    beside = folder / f"{FILE}.new"
+    beside = folder / f"{FILE}.{os.getpid()}.new"
     with open(beside, "w") as out:
         yaml.dump({"rosbag2_bagfile_information": _information(found)}, out, _Plain, sort_keys=False)
     target = folder / FILE
@@ -57,6 +97,16 @@ def _index(file: Path) -> BagIndex | None:
         return read_index(file)
     except (BagError, OSError):
         return None
+
+
+def _events(found: list[tuple[Path, BagIndex]]) -> dict[str, str] | None:
+    """What happened, by when: rosbag2's place for what is not its own."""
+    events = {}
+    for file, index in found:
+        for record in read_metadata(file, index, EVENT):
+            when = datetime.fromtimestamp(int(record["stamp_ns"]) * 1e-9).astimezone()
+            events[when.isoformat(timespec="milliseconds")] = f"{record['what']}: {record['reason']}"
+    return events or None
 
 
 def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
@@ -98,11 +148,11 @@ def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
         "duration": {"nanoseconds": end - start},
         "starting_time": {"nanoseconds_since_epoch": start},
         "message_count": sum(each.message_count for each in held),
-        "topics_with_message_count": [topics[key] for key in sorted(topics)],
+        "custom_data": _events(found),
+        _TOPICS: [topics[key] for key in sorted(topics)],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file, _ in found],
         "files": files,
-        "custom_data": None,
         "ros_distro": DISTRIBUTION,
     }

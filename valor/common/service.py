@@ -114,7 +114,10 @@ class StatisticsPublisher:
         self._work_sum = self._work_max = self._period_sum = self._period_max = 0.0
 
     def state(self, state: str, detail: str = "") -> None:
-        """Say that the service is ``starting`` (and what it waits for), ``ready`` or ``stopping``."""
+        """Say that the service is ``starting`` (and what it waits for), ``ready``, ``degraded`` or ``stopping``.
+
+        Degraded: it runs, others may count on that, but what it is there for it cannot do now; ``detail`` says why.
+        """
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
             self._publish(time.perf_counter())

@@ -8,6 +8,7 @@ from typing import Any
 
 from valor.common.bag_index import BagError, BagIndex, read_index
 from valor.common.errors import ValorError
+from valor.common.rosbag2_metadata import SUFFIX
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,29 @@ class BagSummary:
         return asdict(self) | {"file": str(self.file)}
 
 
+def find(path: Path) -> list[Path]:
+    """The recordings under a path: itself, or the folders below it that hold bags, in the order of their names.
+
+    Raises:
+        ValorError: there is none.
+    """
+    if not path.is_dir() or any(path.glob(f"*{SUFFIX}")):
+        return [path]
+    found = sorted({file.parent for file in path.rglob(f"*{SUFFIX}")})
+    if not found:
+        raise ValorError(f"{path}: no bag: expected files *{SUFFIX}, here or in folders below")
+    return found
+
+
 def summarize(path: Path) -> BagSummary:
     """Read the index of a recording: a file, or a folder of them.
 
     Raises:
         ValorError: no such file, no MCAP file, or one that has no index yet.
     """
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    files = sorted(path.glob(f"*{SUFFIX}")) if path.is_dir() else [path]
     if not files:
-        raise ValorError(f"{path}: no bag: expected files *.mcap")
+        raise ValorError(f"{path}: no bag: expected files *{SUFFIX}")
     counts: dict[tuple[str, str], int] = {}
     starts, ends, messages = [], [], 0
     for file in files:

@@ -29,6 +29,7 @@ from valor.valorctl.supervision import Supervisor
 Level = Literal["ok", "warn", "fail"]
 
 _LEAST_MEMORY = 1.5  # free, for a whole system [GiB]
+_LEAST_TIME = 3600.0  # until the disk is full [s]
 _LEAST_DISK = 2.0  # free, for bags [GiB]
 _SUBPROCESS_TIMEOUT = 60.0  # [s]
 
@@ -188,11 +189,21 @@ def _disk(instance: Instance) -> Finding:
     folder = next(path for path in (instance.bags, *instance.bags.parents) if path.exists())
     if not os.access(folder, os.W_OK):
         return Finding("disk", "fail", f"{folder} is not writable", "set VALOR_HOME to a folder of yours")
-    free = shutil.disk_usage(folder).free / 2**30
-    if free < _LEAST_DISK:
-        advice = f"bags grow by about 1 MB/s; {_LEAST_DISK:g} GiB are a start"
-        return Finding("disk", "warn", f"{free:.1f} GiB free under {folder}", advice)
-    return Finding("disk", "ok", f"{free:.1f} GiB free under {folder}")
+    from valor.valorctl import recording_report
+
+    try:
+        ahead, limit = recording_report.prospect(instance)
+    except ValorError as error:
+        return Finding("disk", "fail", str(error), "remove the file; the next `up` writes it anew")
+    text = f"{ahead.free / 1e9:.1f} GB free under {folder}; {ahead.line()}"
+    if ahead.free < _LEAST_DISK * 2**30:
+        return Finding("disk", "warn", text, f"make room: {_LEAST_DISK:g} GiB are a start; `valorctl bag prune`")
+    if ahead.seconds < _LEAST_TIME and not ahead.bounded:
+        return Finding("disk", "warn", text, "nothing bounds a bag that was named by --bag: end it, or make room")
+    if ahead.short:
+        advice = f"the disk has no room for all that recordings may take ({limit}): make room, or a lower --bag-bound"
+        return Finding("disk", "warn", text, advice)
+    return Finding("disk", "ok", text)
 
 
 def _processor(_: Instance) -> Finding:

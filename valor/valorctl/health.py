@@ -21,7 +21,7 @@ DAEMON = "bifrostd"
 SILENCE = 3.0  # without a word for this long, a process is not ready, whatever it said before [s]
 START_GRACE = 10.0  # a process may take this long to its first word [s]
 
-State = Literal["starting", "ready", "stopped", "failed"]
+State = Literal["starting", "ready", "degraded", "stopped", "failed"]
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,8 @@ def _state(info: ProcessInfo, word: Word | None, now: float) -> tuple[State, str
         return "failed", f"runs, but silent for {silent:.1f} s"
     if word.state == "ready":
         return "ready", word.detail
+    if word.state == "degraded":
+        return "degraded", word.detail
     if word.state == "stopping":
         return "stopped", "stopping"
     return "starting", word.detail

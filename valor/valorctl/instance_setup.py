@@ -13,12 +13,15 @@ from pathlib import Path
 import msgspec
 
 import bifrost
+from valor.common import recordings
 from valor.common.errors import ConfigurationError, ValorError, require_one_of
 from valor.common.instance import ClockMode, Instance, Recording, Settings
+from valor.common.processes import RECORDER
 from valor.common.resources import profile_file, robot_folder
+from valor.common.retention import Bounds
 from valor.common.robot import RobotDescription
 from valor.common.world_names import WORLD_NAMES
-from valor.valorctl import mode_names
+from valor.valorctl import mode_names, recording_options
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import daemon_ports
 
@@ -35,6 +38,8 @@ class Request:
     world: str | None = None
     real_time_factor: float | None = None
     bag: Path | None = None
+    bag_bound: tuple[str, ...] = ()
+    no_bag: bool = False
     recording: Recording = field(default_factory=Recording)
     initial_mode: str | None = None  # empty: leave the robot as it starts
 
@@ -70,7 +75,7 @@ def plan(request: Request) -> Plan:
         real_time_factor=(defaults.real_time_factor if request.real_time_factor is None else request.real_time_factor),
         ros_domain_id=0,
         bag=_bag(request.bag),
-        recording=request.recording,
+        recording=msgspec.structs.replace(request.recording, bounds=_bounds(request, profile)),
     )
     require_one_of("--actuators", settings.actuators, robot.tables.actuators)
     require_one_of("--world", settings.world, WORLD_NAMES)
@@ -78,6 +83,9 @@ def plan(request: Request) -> Plan:
         raise ConfigurationError(
             f"{robot.folder / 'robot.yaml'}: devices: none; expected those of the robot (profile {request.profile})"
         )
+    if request.no_bag:
+        _expect_no_bag_options(request)
+        profile = profile.without(RECORDER)
     initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
     if request.initial_mode and "valor_ros_controller" not in profile.processes:
         raise ConfigurationError(
@@ -97,6 +105,16 @@ def _bag(file: Path | None) -> Path | None:
     return file
 
 
+def _bounds(request: Request, profile: Profile) -> Bounds:
+    """The option's words go before the profile's."""
+    return recording_options.bounds(request.bag_bound, recording_options.bounds(profile.defaults.bag_bound, Bounds()))
+
+
+def _expect_no_bag_options(request: Request) -> None:
+    if request.bag is not None or request.recording != Recording():
+        raise ConfigurationError("--no-bag: expected without another option that says what is recorded, or where")
+
+
 def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
     """Make the folder, and write network, keys and settings.
 
@@ -109,6 +127,7 @@ def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
         instance.bags.mkdir(exist_ok=True)
         if wanted.bag is not None:
             wanted.bag.parent.mkdir(parents=True, exist_ok=True)
+        recordings.save_bounds(instance.bags, wanted.recording.bounds)
         _rotate_logs(instance)
         bifrost.Network.create(instance.network_file, instance.keys, ports=daemon_ports(ros_domain))
         settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())

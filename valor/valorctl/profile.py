@@ -9,8 +9,10 @@ from msgspec import Meta, field, structs
 
 from valor.common.instance import ClockMode, Variant
 from valor.common.processes import BY_NAME, Process
+from valor.common.retention import Bounds
 from valor.common.robot import RobotDescription
 from valor.common.table import NonNegative, Table, read
+from valor.valorctl import recording_options
 
 
 class Defaults(Table):
@@ -22,6 +24,7 @@ class Defaults(Table):
     world: str = "flat"
     seed: Annotated[int, Meta(ge=0)] = 0
     real_time_factor: NonNegative = 1.0
+    bag_bound: tuple[str, ...] = ()  # of all recordings: 20GB, 30d, 10% (docs/bag_recorder.md)
 
 
 class Profile(Table, kw_only=True):
@@ -37,6 +40,7 @@ class Profile(Table, kw_only=True):
     defaults: Defaults = Defaults()
 
     def __post_init__(self) -> None:
+        recording_options.bounds(self.defaults.bag_bound, Bounds(), "defaults.bag_bound")
         for name in self.processes:
             if name not in BY_NAME:
                 raise ValueError(f"processes: {name!r} is none of {', '.join(BY_NAME)}")
@@ -57,6 +61,10 @@ class Profile(Table, kw_only=True):
         """The profile without the processes that serve devices which the robot does not have."""
         kinds = {"", *(device.kind for device in robot.tables.devices.values())}
         return structs.replace(self, processes=tuple(n for n in self.processes if BY_NAME[n].device in kinds))
+
+    def without(self, name: str) -> Profile:
+        """The profile without a process that no other needs."""
+        return structs.replace(self, processes=tuple(each for each in self.processes if each != name))
 
     @property
     def table(self) -> tuple[Process, ...]:

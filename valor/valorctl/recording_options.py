@@ -1,4 +1,4 @@
-"""The recorder's options on the command line, as settings."""
+"""The recorder's options on the command line, as settings: topics, pieces, and bounds of all recordings."""
 
 from __future__ import annotations
 
@@ -8,21 +8,33 @@ from typing import Any
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Recording
-from valor.common.table import TableError, checked
+from valor.common.retention import DAY, UNBOUNDED, Bounds
+from valor.common.table import TableError, checked, plain
 
-_AMOUNT = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>[A-Za-z]+)")
-_UNITS: dict[str, tuple[str, float]] = {  # [B] or [s]
-    "kb": ("split_bytes", 1e3),
-    "mb": ("split_bytes", 1e6),
-    "gb": ("split_bytes", 1e9),
-    "s": ("split_seconds", 1.0),
-    "min": ("split_seconds", 60.0),
-    "h": ("split_seconds", 3600.0),
+BOUND = "--bag-bound"
+BOUND_VARIABLE = "VALOR_BAG_BOUND"
+NO_BOUND = "none"
+
+_AMOUNT = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>[A-Za-z]+|%)")
+_UNITS: dict[str, tuple[str, float]] = {  # [B], [s] or a part of the disk
+    "kb": ("size", 1e3),
+    "mb": ("size", 1e6),
+    "gb": ("size", 1e9),
+    "tb": ("size", 1e12),
+    "s": ("time", 1.0),
+    "min": ("time", 60.0),
+    "h": ("time", 3600.0),
+    "d": ("time", DAY),
+    "%": ("share", 0.01),
 }
+_SPLIT = {"size": "split_bytes", "time": "split_seconds"}
+_BOUND = {"size": "size", "time": "age", "share": "share"}
 _OPTIONS = {"split_bytes": "--bag-split", "split_seconds": "--bag-split", "ring_seconds": "--bag-ring"}
 
 
-def recording(only: Sequence[str], without: Sequence[str], split: Sequence[str], ring: float | None) -> Recording:
+def recording(
+    only: Sequence[str] = (), without: Sequence[str] = (), split: Sequence[str] = (), ring: float | None = None
+) -> Recording:
     """Settings from ``--bag-only``, ``--bag-without``, ``--bag-split`` and ``--bag-ring``.
 
     Raises:
@@ -31,18 +43,52 @@ def recording(only: Sequence[str], without: Sequence[str], split: Sequence[str],
     if ring is not None and split:
         raise ConfigurationError("--bag-ring and --bag-split: expected one of them")
     values: dict[str, Any] = {"only": tuple(only), "without": tuple(without), "ring_seconds": ring}
-    for text in split:
-        match = _AMOUNT.fullmatch(text)
-        if match is None or match["unit"].lower() not in _UNITS:
-            raise ConfigurationError(f"--bag-split {text}: expected a size or a time, as 500MB, 2GB, 60s, 10min")
-        key, factor = _UNITS[match["unit"].lower()]
-        if key in values:
-            raise ConfigurationError(f"--bag-split {text}: expected one size and one time at most")
-        amount = float(match["number"]) * factor
-        values[key] = round(amount) if key == "split_bytes" else amount
+    pieces = _amounts("--bag-split", split, _SPLIT, "a size or a time, as 500MB, 2GB, 60s, 10min")
+    values |= {key: round(amount) if key == "split_bytes" else amount for key, amount in pieces.items()}
     try:
         return checked(Recording, values)
     except TableError as error:
-        raise ConfigurationError(
-            f"{_OPTIONS.get(error.key, error.key)}: {error.what}, got {values.get(error.key)}"
-        ) from None
+        raise ConfigurationError(_told(_OPTIONS.get(error.key, error.key), error, values.get(error.key))) from None
+
+
+def bounds(words: Sequence[str], base: Bounds, where: str = BOUND) -> Bounds:
+    """Bounds from words (``20GB``, ``30d``, ``10%``, ``none``); of a kind that no word is of, as ``base`` has it.
+
+    Args:
+        words: as a person wrote them.
+        base: what they go before.
+        where: they stand.
+
+    Raises:
+        ConfigurationError: names the option or key, and what was expected.
+    """
+    expected = "a size, an age or a part of the disk, as 20GB, 30d, 10%, or none"
+    if NO_BOUND in words:
+        if len(words) > 1:
+            raise ConfigurationError(f"{where} {' '.join(words)}: expected {NO_BOUND} by itself, or bounds")
+        return UNBOUNDED
+    values = _amounts(where, words, _BOUND, expected)
+    values |= {"size": round(values["size"])} if "size" in values else {}
+    try:
+        return checked(Bounds, plain(base) | values)
+    except TableError as error:
+        raise ConfigurationError(_told(where, error, values.get(error.key))) from None
+
+
+def _amounts(where: str, words: Sequence[str], keys: dict[str, str], expected: str) -> dict[str, Any]:
+    """Numbers with units, by the key that each unit stands for."""
+    values: dict[str, Any] = {}
+    for word in words:
+        match = _AMOUNT.fullmatch(word)
+        kind, factor = _UNITS.get(match["unit"].lower(), ("", 0.0)) if match else ("", 0.0)
+        if match is None or kind not in keys:
+            raise ConfigurationError(f"{where} {word}: expected {expected}")
+        if keys[kind] in values:
+            raise ConfigurationError(f"{where} {word}: expected one of each kind at most: {expected}")
+        values[keys[kind]] = float(match["number"]) * factor
+    return values
+
+
+def _told(where: str, error: TableError, value: object) -> str:
+    got = "" if ", got " in error.what else f", got {value}"
+    return f"{where}: {error.what}{got}"

@@ -120,11 +120,12 @@ def _start(
         health = {name: judge(infos[name], listener.words.get(name), now) for name in started}
         for name in started:
             _require_first_run(instance, infos[name], pids)
-        for name in [name for name in waiting if name in started and health[name].state == "ready"]:
+        for name in [name for name in waiting if name in started and health[name].state in ("ready", "degraded")]:
             waiting.remove(name)
             ready.add(name)
             changed = now
-            progress.done(f"{name} ready ({now - began:.1f} s)")
+            how = "ready" if health[name].state == "ready" else f"degraded: {health[name].detail}"
+            progress.done(f"{name} {how} ({now - began:.1f} s)")
         late = [health[name] for name in waiting if name in started]
         if now - changed > READY_TIMEOUT:
             raise _not_ready(instance, late)

@@ -10,10 +10,11 @@ import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ClockStatus, ControlModeReport, MotionState
-from valor.common.processes import BY_NAME
+from valor.common.processes import BY_NAME, RECORDER
 from valor.common.topics import CLOCK, CONTROL_MODE, MOTION_STATE
 from valor.valorctl import leftovers
 from valor.valorctl.health import SILENCE, Health, Listener, judge
+from valor.valorctl.recording_report import Glance, glance
 from valor.valorctl.supervision import ProcessInfo, Supervisor
 
 
@@ -27,6 +28,7 @@ class Status:
     control_mode: str | None
     clock: ClockStatus | None
     services: list[Health]
+    recording: Glance | None  # None: the profile has no recorder
 
     @property
     def ready(self) -> bool:
@@ -62,6 +64,7 @@ class Status:
                 "real_time_factor_since_start": self.factor_since_start,
                 "slip_s": clock.slip if clock else None,
             },
+            "recording": self.recording.as_json() if self.recording else None,
             "services": [
                 {
                     "name": service.name,
@@ -124,6 +127,7 @@ def look(instance: Instance) -> Status:
         control_mode=reports.control_mode.current_control_mode if reports.control_mode else None,
         clock=reports.clock,
         services=services,
+        recording=glance(instance, instance.settings().recording.bounds) if RECORDER in names else None,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,10 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl.console import complain, progress, rich_console, say, say_json
 from valor.valorctl.interruption import Interruption
+from valor.valorctl.verbs import recordings
+
+if TYPE_CHECKING:
+    from valor.valorctl.bag_summary import BagSummary
 
 bag = typer.Typer(name="bag", help="Look into recordings, and mend them.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -19,28 +23,33 @@ File = Annotated[Path, typer.Argument(help="An .mcap file.")]
 
 def register(app: typer.Typer) -> None:
     """Add the verbs."""
+    recordings.register(bag)
     app.add_typer(bag)
 
 
 @bag.command()
 def info(
-    file: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap file, or a folder of them.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="BAG", help="An .mcap file, a folder of them, a folder of recordings, or a name.")
+    ],
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
-    """Show when it was recorded, and every topic with its type and number of messages."""
-    from valor.valorctl.bag_summary import summarize
+    """Show when it was recorded, and every topic with its type and number of messages; of several, a line each."""
+    from valor.valorctl.bag_summary import find, summarize
 
-    summary = summarize(file)
+    named = Instance.from_environment().bags / file
+    found = find(named if not file.exists() and named.exists() else file)
+    if len(found) > 1:
+        _summarize_each(found, json)
+        return
+    summary = summarize(found[0])
     if json:
         say_json(summary.as_json())
         return
     from rich.table import Table
 
+    say(_at_a_glance(summary))
     console = rich_console()
-    console.print(
-        f"{summary.file}: {summary.size / 1e6:.1f} MB, {summary.duration:.1f} s, {summary.messages} messages",
-        markup=False,
-    )
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("topic")
     table.add_column("type")
@@ -49,6 +58,28 @@ def info(
     for topic in summary.topics:
         table.add_row(topic.name, topic.type, str(topic.messages), f"{topic.rate:.1f}")
     console.print(table)
+
+
+def _summarize_each(found: list[Path], as_json: bool) -> None:
+    """Those that can be read; of the others why not, which is no error: one may be being written."""
+    from valor.valorctl.bag_summary import summarize
+
+    objects = []
+    for path in found:
+        try:
+            summary = summarize(path)
+        except ValorError as error:
+            complain(str(error))
+            continue
+        objects.append(summary.as_json())
+        if not as_json:
+            say(_at_a_glance(summary))
+    if as_json:
+        say_json(objects)
+
+
+def _at_a_glance(summary: BagSummary) -> str:
+    return f"{summary.file}: {summary.size / 1e6:.1f} MB, {summary.duration:.1f} s, {summary.messages} messages"
 
 
 @bag.command()

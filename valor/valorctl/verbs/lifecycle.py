@@ -14,6 +14,7 @@ from valor.common.world_names import WORLD_NAMES
 from valor.valorctl import completion
 from valor.valorctl.console import progress, say
 from valor.valorctl.interruption import Interruption
+from valor.valorctl.recording_options import BOUND_VARIABLE
 
 _PROFILE = typer.Option(
     help=f"Which processes, on what: {', '.join(profiles())}, or a .yaml file.", autocompletion=completion.profiles
@@ -44,6 +45,15 @@ def up(
         float | None, typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
     ] = None,
     bag: Annotated[Path | None, typer.Option(help="The recorder's file, .mcap, or a new folder.")] = None,
+    no_bag: Annotated[bool, typer.Option("--no-bag", help="Record nothing.")] = False,
+    bag_bound: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SIZE|AGE|SHARE",
+            envvar=BOUND_VARIABLE,
+            help="Of all recordings of the instance, oldest go first: 20GB, 30d, 10% of the disk; or none.",
+        ),
+    ] = None,
     bag_only: Annotated[
         list[str] | None, typer.Option(metavar="PATTERN", help="Record only topics like '/bifrost/*'; may be repeated.")
     ] = None,
@@ -66,13 +76,26 @@ def up(
     ] = None,
 ) -> None:
     """Start a system; returns when every process is ready and the robot is in its initial mode."""
-    from valor.valorctl import instance_setup, recording_options, startup
+    from valor.valorctl import instance_setup, recording_options, recording_report, startup
 
     instance = Instance.from_environment()
     recording = recording_options.recording(bag_only or (), bag_without or (), bag_split or (), bag_ring)
     began = time.monotonic()
     plan = instance_setup.plan(
-        instance_setup.Request(profile, robot, clock, actuators, seed, world, rtf, bag, recording, initial_mode)
+        instance_setup.Request(
+            profile,
+            robot,
+            clock,
+            actuators,
+            seed,
+            world,
+            rtf,
+            bag,
+            tuple(bag_bound or ()),
+            no_bag,
+            recording,
+            initial_mode,
+        )
     )
     with progress() as shown, Interruption() as interruption:
         settings = startup.bring_up(instance, plan, shown, interruption)
@@ -80,17 +103,21 @@ def up(
         f"instance {instance.name!r} is up in {time.monotonic() - began:.1f} s: {settings.robot.name}, "
         f"profile {settings.profile}, {settings.clock}, ROS domain {settings.ros_domain_id}"
     )
+    say(recording_report.announcement(instance, settings, plan.profile.processes))
 
 
 def down() -> None:
     """Stop a system and remove all it leaves but logs and bags. What is not up stays down: that is no error."""
-    from valor.valorctl import instance_setup, shutdown
+    from valor.valorctl import instance_setup, recording_report, shutdown
 
     instance = Instance.from_environment()
+    since = recording_report.up_since(instance)
     with progress() as shown, Interruption(), instance_setup.changing(instance):
         shown.waiting(f"stopping instance {instance.name!r}")
         was_up = shutdown.take_down(instance)
     say(f"instance {instance.name!r} is down" if was_up else f"instance {instance.name!r} was not up")
+    for written in since():
+        say(written.line())
 
 
 def restart(

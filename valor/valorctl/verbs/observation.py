@@ -13,7 +13,7 @@ from valor.valorctl.console import rich_console, say, say_json
 if TYPE_CHECKING:
     from valor.valorctl.status import Status
 
-_COLOURS = {"ready": "green", "starting": "yellow", "stopped": "dim", "failed": "bold red"}
+_COLOURS = {"ready": "green", "starting": "yellow", "degraded": "yellow", "stopped": "dim", "failed": "bold red"}
 
 
 def register(app: typer.Typer) -> None:
@@ -65,6 +65,8 @@ def _show(status: Status) -> None:
             service.detail,
         )
     console.print(table)
+    if status.recording is not None:
+        say(status.recording.line())
 
 
 def logs(
