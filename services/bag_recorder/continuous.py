@@ -14,9 +14,9 @@ from valor.common.messages import MotionState
 
 FLUSH_PERIOD = 0.5  # what SIGKILL may lose [s]
 SPACE_PERIOD = 1.0  # between two looks at the disk [s]
-RETRY_PERIOD = 5.0  # after a bag could not be written [s]
+RETRY_PERIOD = 2.0  # after a bag could not be written [s]
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)  # another day it may not be
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # there may be room another day
 
 _log = logging.getLogger("bag_recorder")
 

@@ -87,6 +87,7 @@ class Shelf:
             OSError: it cannot be written.
         """
         path = _unused(self.place(label))
+        bag = None
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self.check_space(path.parent)
@@ -96,6 +97,9 @@ class Shelf:
             bag.add_metadata("valor", self._origin())
         except OSError as error:
             error.filename = error.filename or str(path)
+            if bag is not None:  # an empty bag every two seconds would be no help
+                bag.abandon()
+                path.unlink(missing_ok=True)
             raise
         return bag
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import resource
 import shutil
 import threading
@@ -10,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -35,20 +38,23 @@ import bifrost
 from tests.conftest import RunningInstance, wait_until
 from tests.unit.motion_states import motion_state
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.bag_recorder.bifrost_tap import BifrostTap
+from valor.bag_recorder.bifrost_tap import QUEUE, BifrostTap
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.last_seconds import AFTER_FALL
+from valor.common import recordings, rosbag2_metadata
 from valor.common.bag_recovery import recover
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Recording
 from valor.common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
+from valor.common.retention import Bounds
 from valor.common.service import EXIT_CONFIGURATION
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
-from valor.valorctl import bag_player
+from valor.valorctl import bag_player, recording_list, recording_report
 from valor.valorctl.ros_domain import DOMAINS
 
 JOINTS = 38
+OLD = "2026-01-02_10-00-00"
 SECOND = 1_000_000_000
 RELIABLE = QoSProfile(depth=1000)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -287,20 +293,28 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
     assert recover(second).finished
 
 
-def test_a_disk_that_fills_up_costs_no_more_than_what_does_not_fit(instance: RunningInstance) -> None:
-    path = recorder(instance)
+def test_a_full_disk_costs_no_more_than_what_does_not_fit(instance: RunningInstance) -> None:
+    """Full when the recorder starts, then with room, then full again, and with room again."""
     node = instance.node()
     statistics = node.subscriber(STATISTICS["bag_recorder"].name, Statistics, queue=100)
-    stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
-    stream.start()
-    wait_until(lambda: has(path, "/bifrost/" + MOTOR.name, 100), 30.0, "the bag has begun", 0.3)
 
     def heard(state: str) -> Statistics | None:
         said = [each.message for each in statistics.drain() if each.message.state == state]
         return said[-1] if said else None
 
-    process = psutil.Process(instance.process("bag_recorder").pid)
+    process = psutil.Process(instance.start("bag_recorder").pid)
     _, hard = process.rlimit(psutil.RLIMIT_FSIZE)
+    process.rlimit(psutil.RLIMIT_FSIZE, (700, hard))  # less than a bag says of itself first
+    told = wait_until(lambda: heard("degraded"), 40.0, "the recorder runs, and says that it does not record")
+    assert "not recording: " in told.detail and "File too large" in told.detail
+    assert process.is_running() and bags(instance) == []
+    process.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
+    wait_until(lambda: heard("ready"), 30.0, "the recorder records")
+    (path,) = bags(instance)
+    stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
+    stream.start()
+    wait_until(lambda: has(path, "/bifrost/" + MOTOR.name, 100), 30.0, "the bag has begun", 0.3)
+
     process.rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + (64 << 10), hard))
     told = wait_until(lambda: heard("degraded"), 20.0, "the recorder says that it does not record")
     assert "not recording: " in told.detail and path.name in told.detail and "File too large" in told.detail
@@ -312,6 +326,7 @@ def test_a_disk_that_fills_up_costs_no_more_than_what_does_not_fit(instance: Run
     wait_until(lambda: heard("ready"), 30.0, "the recorder records again")
     stream.stop()
     assert instance.process("bag_recorder").poll() is None
+    assert instance.log("bag_recorder").count("not recording") == 1
     assert instance.log("bag_recorder").count("stopped recording") == 1
     assert instance.stop("bag_recorder") == 0
     assert counts(path)["/bifrost/" + MOTOR.name] == kept
@@ -478,6 +493,80 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
         assert reader.message_count == sum(sum(counts(each).values()) for each in made)
 
 
+def test_a_recorder_keeps_all_recordings_within_bounds_its_own_pieces_too(instance: RunningInstance) -> None:
+    folder = instance.instance.bags
+    kept, old = (a_recording(folder, name, size) for name, size in (("2026-01-01_10-00-00", 6 << 20), (OLD, 1 << 20)))
+    recordings.keep(recordings.look(folder)[0], True)
+    (folder / "walk").mkdir()
+    foreign = folder / "walk" / "walk.mcap"
+    shutil.copyfile(kept, foreign)
+    bounds = Bounds(age=None, size=9 << 20, share=None)
+    instance.configure(recording=Recording(bounds=bounds, only=("/bifrost/" + MOTOR.name,)))
+    path = recorder(instance)
+    node = instance.node()
+    stream = Stream(node.publisher(MOTOR.name, Motor), 1000.0)
+    stream.start()
+    wait_until(lambda: not path.exists(), 60.0, "its own first piece has gone", 0.1)
+    glance = recording_report.glance(instance.instance, bounds)
+    assert glance.path is not None and glance.path.parent == path.parent and 0 < glance.size < glance.total
+    assert recordings.holding(instance.instance.folder, time.time() - 0.01) is not None
+    stream.stop()
+    assert instance.stop("bag_recorder") == 0
+
+    assert kept.exists() and foreign.exists() and not old.parent.exists()
+    made = sorted(path.parent.glob("*.mcap"), key=lambda each: each.stat().st_mtime)
+    assert made and sum(each.size for each in recordings.look(folder)) <= bounds.size + (2 << 20)
+    sequences = []
+    for each in made:
+        with open(each, "rb") as file:
+            sequences += [message.sequence for _, _, message in make_reader(file).iter_messages()]
+    assert sequences == list(range(sequences[0], stream.sent[-1][0] + 1)), "all that was written since"
+    with AnyReader([path.parent]) as reader:
+        assert reader.message_count == len(sequences)
+    assert instance.log("bag_recorder").count(": removed, ") == 1 + int(re.findall(r"_(\d+)$", made[0].stem)[0])
+
+
+def a_recording(folder: Path, name: str, size: int) -> Path:
+    """One of long ago."""
+    path = folder / name / f"{name}.mcap"
+    path.parent.mkdir()
+    bag = Bag(path)
+    chatter = RecordedTopic("/chatter", "std_msgs/msg/String", definition("std_msgs/msg/String"))
+    bag.write(chatter, 0, 0, 0, np.random.default_rng(0).bytes(size))
+    bag.close()
+    os.utime(path, (recordings.begun(name),) * 2)
+    return path
+
+
+def test_what_was_lost_while_the_recorder_stood_is_counted(instance: RunningInstance) -> None:
+    path = recorder(instance)
+    publisher = instance.node().publisher(MOTOR.name, Motor)
+    connect(path, publisher, motor(0))
+    process = psutil.Process(instance.process("bag_recorder").pid)
+    process.suspend()
+    message = motor(1)
+    for _ in range(4 * QUEUE):
+        publisher.publish(message)
+    process.resume()
+    last = 0
+
+    def heard() -> bool:
+        nonlocal last
+        last = publisher.publish(message)
+        time.sleep(0.1)
+        return newest(path, "/bifrost/" + MOTOR.name) > 4 * QUEUE
+
+    wait_until(heard, 60.0, "the recorder goes on")
+    wait_until(lambda: newest(path, "/bifrost/" + MOTOR.name) == last, 20.0, "to the last message", 0.3)
+    assert instance.stop("bag_recorder") == 0
+    with open(path, "rb") as file:
+        topics = ["/bifrost/" + MOTOR.name]
+        first = next(message.sequence for _, _, message in make_reader(file).iter_messages(topics=topics))
+    told = json.loads(metadata(path, "topics")[0]["/bifrost/" + MOTOR.name])
+    assert told["dropped"] > 0 and told["received"] == told["written"]
+    assert told["received"] + told["dropped"] == last - first + 1
+
+
 def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningInstance, ros: Node) -> None:
     description = ros.create_publisher(String, "/robot_description", KEPT)
     description.publish(String(data="<robot/>"))
@@ -511,6 +600,14 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     assert time.monotonic() - began >= AFTER_FALL
     wait_until(lambda: metadata_of_finished(fall), 20.0, "all of it", 0.1)
     assert counts(fall)["/bifrost/" + MOTION_STATE.name] > 1
+    head = wait_until(lambda: rosbag2_metadata.head(fall.parent), 20.0, "rosbag2 knows")
+    ((when, what),) = head.events.items()
+    assert what.startswith("fall: ")
+    fell = datetime.fromisoformat(when).timestamp()
+    assert recordings.holding(instance.instance.folder, fell) == fall
+    (row,) = (row for row in recording_list.rows(instance.instance) if row.name == fall.parent.name)
+    assert (row.size, row.written, row.instance) == (fall.stat().st_size, False, "test")
+    assert len(row.events) == 1 and row.events[0].endswith(what)
     for _ in range(20):
         fallen()
     assert len(bags(instance)) == 2, "a fall is saved once"

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import re
 import shutil
 import signal
 import socket
@@ -361,7 +362,10 @@ def one_walks_at_a_time(ctl: Cli) -> None:
 def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     told = ctl("up", "--bag", str(ctl.home / "whole.mcap"))
     assert "control mode stand" in told
+    bag = ctl.home / "whole.mcap"
+    assert re.search(rf"recording to {bag}: \d+\.\d MB/s, in .* the disk is full", told)
     seen = ctl.status()
+    assert seen["recording"]["bag"] == str(bag) and seen["recording"]["bytes"] > 0
     assert {service["state"] for service in seen["services"].values()} == {"ready"}
     processes = Profile.load(REPOSITORY / "deploy" / "sim.yaml").processes
     assert set(seen["services"]) == set(processes)
@@ -412,8 +416,8 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     subprocess.run(["/bin/sh", "-c", joined], check=True, timeout=TIMEOUT)
 
     held = shared_memory(ctl.processes())
-    ctl("down")
+    assert re.search(rf"recorded {bag}: \d+\.\d MB, \d+", ctl("down"))
     ctl.assert_nothing_left()
     assert [file for file in held if os.path.exists(file)] == []
-    bag = json.loads(ctl("bag", "info", str(ctl.home / "whole.mcap"), "--json"))
-    assert {"/joint_states", "/bifrost/motion_manager/motor"} <= {topic["name"] for topic in bag["topics"]}
+    info = json.loads(ctl("bag", "info", str(bag), "--json"))
+    assert {"/joint_states", "/bifrost/motion_manager/motor"} <= {topic["name"] for topic in info["topics"]}
