@@ -19,7 +19,7 @@ from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.clock import ClockChange, WallClock
 from valor.bag_recorder.housekeeper import Housekeeper
 from valor.common import recordings
-from valor.common.bag_index import EVENT, BagError
+from valor.common.bag_index import EVENT, BagError, read_index
 from valor.common.bag_recovery import recover
 from valor.common.errors import ConfigurationError
 from valor.common.recordings import Unfinished
@@ -51,6 +51,7 @@ class Shelf:
         self._latched: dict[RecordedTopic, tuple[int, int, bytes]] = {}
         self._folder = self._recording_folder()
         recovered = self._notes.recover_unfinished()
+        self._silent_since = self._end_of(recovered)
         self._keeper = Housekeeper(context.instance.bags, context.settings.recording.bounds, recovered)
 
     def place(self, label: str = "") -> Path:
@@ -95,6 +96,7 @@ class Shelf:
             bag = Bag(path)
             self._notes.begun(path)
             bag.add_metadata("valor", self._origin())
+            self._note_gap(bag)
         except OSError as error:
             error.filename = error.filename or str(path)
             if bag is not None:  # an empty bag every two seconds would be no help
@@ -166,6 +168,20 @@ class Shelf:
             OSError: it cannot be written.
         """
         bag.add_metadata(EVENT, {"what": what, "stamp_ns": str(stamp), "reason": reason})
+
+    def _end_of(self, recovered: list[Path]) -> int:
+        """When a recorder before this one, since `up`, wrote its last message [ns, wall clock]; 0: there was none."""
+        ends = [index.statistics.message_end_time for bag in recovered if (index := read_index(bag)) is not None]
+        last = max(ends, default=0)
+        return last if last > self._context.settings.epoch + self._clock.offset else 0
+
+    def _note_gap(self, bag: Bag) -> None:
+        """How long nobody recorded, and so nobody counted: in the first bag after a crash."""
+        if self._silent_since:
+            gap = f"nothing was recorded for {1e-9 * (wall_time(self._clock) - self._silent_since):.1f} s"
+            _log.warning("%s: a recorder has ended before its time", gap)
+            self.event(bag, "gap", self._silent_since, gap)
+            self._silent_since = 0
 
     def _keep_if_named(self, folder: Path) -> None:
         """Where somebody said where to record, that stays, even by a name and in a place as of ours."""

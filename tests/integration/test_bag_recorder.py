@@ -291,6 +291,12 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
     stream.stop()
     assert instance.stop("bag_recorder") == 0
     assert recover(second).finished
+    (gap,) = metadata(second, "event")
+    with open(first, "rb") as file, open(second, "rb") as after:
+        last = max(message.log_time for _, _, message in make_reader(file).iter_messages())
+        begun = min(message.log_time for _, _, message in make_reader(after).iter_messages())
+    assert (gap["what"], int(gap["stamp_ns"])) == ("gap", last)
+    assert float(gap["reason"].split()[-2]) == pytest.approx((begun - last) * 1e-9, abs=5.0)
 
 
 def test_a_full_disk_costs_no_more_than_what_does_not_fit(instance: RunningInstance) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 import yaml
+from mcap.reader import make_reader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.common import rosbag2_metadata
+from valor.common.bag_index import EVENT, BagError, origin, read_index
 from valor.common.errors import ValorError
 from valor.valorctl.bag_summary import summarize
 
@@ -71,6 +74,42 @@ def test_what_is_no_bag_is_said_in_a_line(content: bytes, tmp_path: Path) -> Non
     with pytest.raises(ValorError, match=r"walk\.mcap: not a whole MCAP file"):
         summarize(file)
     assert rosbag2_metadata.write(file.parent) is None
+
+
+def test_what_happened_is_told_with_the_recording_as_a_whole(tmp_path: Path) -> None:
+    path = tmp_path / "walk" / "walk.mcap"
+    path.parent.mkdir()
+    made = Bag(path)
+    made.add_metadata("valor", {"instance": "lab", "started": "2026-05-01T10:00:00+00:00"})
+    assert origin(path)["instance"] == "lab", "before it is finished"
+    made.write(WORDS, 10**9, 10**9, 1, b"\0\1\0\0\0\0\0\0")
+    made.add_metadata(EVENT, {"what": "fall", "stamp_ns": "1500000000", "reason": "pushed: hard"})
+    made.write(WORDS, 3 * 10**9, 3 * 10**9, 2, b"\0\1\0\0\0\0\0\0")
+    made.close()
+    rosbag2_metadata.write(path.parent)
+    head = rosbag2_metadata.head(path.parent)
+    assert head is not None and (head.start, head.duration, head.messages) == (1.0, 2.0, 2)
+    ((when, what),) = head.events.items()
+    assert datetime.fromisoformat(when).timestamp() == 1.5 and what == "fall: pushed: hard"
+    with Reader(path.parent) as reader:
+        assert reader.message_count == 2
+    assert rosbag2_metadata.head(tmp_path) is None
+
+
+def test_an_index_is_that_of_the_library_wherever_a_file_ends(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    bag(path, 1, 50, (WORDS, NUMBERS))
+    found = read_index(path)
+    with open(path, "rb") as file:
+        expected = make_reader(file).get_summary()
+    assert found is not None and expected is not None
+    assert (found.statistics, found.summary.channels) == (expected.statistics, expected.channels)
+    assert found.summary.schemas == expected.schemas and found.summary.chunk_indexes == []
+    content = path.read_bytes()
+    for length in range(0, len(content), 7):
+        path.write_bytes(content[:length])
+        with pytest.raises(BagError):
+            read_index(path)
 
 
 def test_a_folder_without_a_finished_bag_gets_none(tmp_path: Path) -> None:

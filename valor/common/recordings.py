@@ -180,7 +180,7 @@ def being_written(folder: Path) -> Path | None:
 
 def start_of(bag: Path) -> float:
     """When a bag began, finished or not, wall clock [s]; as good as it can be told without reading it all."""
-    with contextlib.suppress(OSError, ValueError):
+    with contextlib.suppress(OSError, ValueError, KeyError):
         return datetime.fromisoformat(origin(bag)["started"]).timestamp()
     with contextlib.suppress(OSError):
         return bag.stat().st_mtime
