@@ -13,8 +13,8 @@ from mcap.writer import CompressionType
 from valor.bag_recorder.quick_writer import QuickWriter
 from valor.common.bag_index import LIBRARY, PROFILE
 
-_LOCK_TRIES, _LOCK_PAUSE = 100, 0.002  # [s]
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
+_LOCK_PATIENCE = 0.5  # [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +60,15 @@ class _File:
 
     def _lock(self) -> None:
         """Tell others that somebody writes. Whoever looks just then whether somebody does holds it for a moment."""
-        for last in (*[False] * _LOCK_TRIES, True):
+        deadline = time.monotonic() + _LOCK_PATIENCE
+        while True:
             try:
                 fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 return
             except BlockingIOError:
-                if last:
+                if time.monotonic() > deadline:
                     raise
-                time.sleep(_LOCK_PAUSE)
+                time.sleep(0.001)
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -94,7 +95,12 @@ class Bag:
         self.written: dict[str, int] = {}
         self._file = _File(path)
         self._writer = QuickWriter(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
-        self._writer.start(PROFILE, LIBRARY)
+        try:
+            self._writer.start(PROFILE, LIBRARY)
+        except OSError:  # no trace of a bag that could not begin
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
         self._schemas: dict[str, int] = {}
         self._channels: dict[RecordedTopic, int] = {}
 

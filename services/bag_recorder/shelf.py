@@ -99,9 +99,11 @@ class Shelf:
             self._note_gap(bag)
         except OSError as error:
             error.filename = error.filename or str(path)
-            if bag is not None:  # an empty bag every two seconds would be no help
+            if bag is not None:  # an empty bag at every try would be no help
                 bag.abandon()
                 path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    self._notes.finished(path)
             raise
         return bag
 

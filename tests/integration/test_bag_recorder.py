@@ -610,7 +610,7 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     ((when, what),) = head.events.items()
     assert what.startswith("fall: ")
     fell = datetime.fromisoformat(when).timestamp()
-    assert recordings.holding(instance.instance.folder, fell) == fall
+    assert recordings.holding(instance.instance.folder, fell + 0.5) == fall  # two seconds are held, two follow a fall
     (row,) = (row for row in recording_list.rows(instance.instance) if row.name == fall.parent.name)
     assert (row.size, row.written, row.instance) == (fall.stat().st_size, False, "test")
     assert len(row.events) == 1 and row.events[0].endswith(what)

@@ -6,6 +6,7 @@ own indices, so that it can be written anew at any time.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import dataclass
 from datetime import datetime
@@ -104,8 +105,9 @@ def _events(found: list[tuple[Path, BagIndex]]) -> dict[str, str] | None:
     events = {}
     for file, index in found:
         for record in read_metadata(file, index, EVENT):
-            when = datetime.fromtimestamp(int(record["stamp_ns"]) * 1e-9).astimezone()
-            events[when.isoformat(timespec="milliseconds")] = f"{record['what']}: {record['reason']}"
+            with contextlib.suppress(KeyError, ValueError, OverflowError):  # another program's record of that name
+                when = datetime.fromtimestamp(int(record["stamp_ns"]) * 1e-9).astimezone()
+                events[when.isoformat(timespec="milliseconds")] = f"{record['what']}: {record['reason']}"
     return events or None
 
 
