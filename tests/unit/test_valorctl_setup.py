@@ -128,6 +128,7 @@ def test_the_profiles_that_come_with_us_are_valid() -> None:
         ({"initial_posture": "stand"}, "initial_posture"),
         ({"defaults": {"clock": "sundial"}}, "defaults.clock"),
         ({"defaults": {"real_time_factor": -1}}, "defaults.real_time_factor"),
+        ({"defaults": {"bag_bound": ["5 parsecs"]}}, "defaults.bag_bound 5 parsecs: expected a size"),
     ],
 )
 def test_a_wrong_profile_names_file_and_key(tmp_path: Path, change: dict[str, object], words: str) -> None:
@@ -155,6 +156,8 @@ def test_options_go_before_the_profile() -> None:
         (Request(actuators="magic"), "--actuators 'magic'.*ideal"),
         (Request(world="moon"), "--world 'moon'.*flat, dirt, stairs, stairs_15cm, rubble"),
         (Request(bag=Path("/")), "--bag"),
+        (Request(bag=Path("/x.mcap"), no_bag=True), "--no-bag: expected without"),
+        (Request(bag_bound=("none", "5GB")), "--bag-bound none 5GB: expected none by itself"),
     ],
 )
 def test_what_is_unknown_is_refused_with_the_known(request_: Request, words: str) -> None:

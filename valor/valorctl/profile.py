@@ -7,6 +7,7 @@ from typing import Annotated
 
 from msgspec import Meta, field, structs
 
+from valor.common.errors import ConfigurationError
 from valor.common.instance import ClockMode, Variant
 from valor.common.processes import BY_NAME, Process
 from valor.common.retention import Bounds
@@ -40,7 +41,10 @@ class Profile(Table, kw_only=True):
     defaults: Defaults = Defaults()
 
     def __post_init__(self) -> None:
-        recording_options.bounds(self.defaults.bag_bound, Bounds(), "defaults.bag_bound")
+        try:
+            recording_options.bounds(self.defaults.bag_bound, Bounds(), "defaults.bag_bound")
+        except ConfigurationError as error:
+            raise ValueError(str(error)) from None
         for name in self.processes:
             if name not in BY_NAME:
                 raise ValueError(f"processes: {name!r} is none of {', '.join(BY_NAME)}")
