@@ -76,14 +76,14 @@ endef
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests. Those of the whole robot run one after another:
-# they want the processor to themselves.
+# Everything that must hold: style, types, boundaries, then the tests. Three at a time on two cores: a test of the whole
+# robot waits as often as it computes. The longest come first, the many short ones fill the gaps. pytest keeps what it
+# has compiled for the next run, even where PYTHONDONTWRITEBYTECODE is set.
 test: $(STAMP) lint
-	@status=0; \
-	$(MAKE) --no-print-directory test-quick || status=1; \
-	$(BIN)/python -m pytest tests/integration || status=1; \
-	exit $$status
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadgroup \
+	  --no-loadscope-reorder --durations 10 tests/integration tests/bifrost tests/unit tests/conformance
 
+# Those alone that need no whole robot.
 test-quick: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance tests/bifrost
 
