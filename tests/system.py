@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -85,7 +86,7 @@ class RosClient:
     """An ordinary ROS 2 node that knows only public names; spins in a thread of its own."""
 
     def __init__(self, environment: Mapping[str, str], *, joint_states: bool = True) -> None:
-        """Join; without ``joint_states``, 250 a second of them are not heard."""
+        """Join; without ``joint_states``, 250 a second of them are heard only while somebody asks for one."""
         for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
             os.environ[key] = environment[key]
         import rclpy
@@ -104,8 +105,7 @@ class RosClient:
         self.joint_state: JointState | None = None
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(ControlModeStatus, "/flor/controller/mode", self.reports.append, latched)
-        if joint_states:
-            self.node.create_subscription(JointState, "/joint_states", self._keep_joint_state, 10)
+        self._listens = joint_states
         self._mode = ActionClient(
             self.node, ChangeControlMode, "/mode_controllers/control_mode_controller/change_control_mode"
         )
@@ -115,18 +115,35 @@ class RosClient:
         }
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
+        if joint_states:
+            self._listen()
+
+    def _spin(self) -> None:
+        while self._context.ok() and not self._closing.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _listen(self) -> Any:
+        from sensor_msgs.msg import JointState
+
+        return self._call(self.node.create_subscription, JointState, "/joint_states", self._keep_joint_state, 10)
 
     def _keep_joint_state(self, message: Any) -> None:
         self.joint_state = message
 
     def joint_positions(self) -> dict[str, float]:
         """The newest joint positions [rad]; waits for the first."""
+        if not self._listens:
+            self.joint_state = None
+            heard = self._listen()
         deadline = time.monotonic() + 10.0
         while self.joint_state is None:
             assert time.monotonic() < deadline, "no /joint_states within 10 s"
             time.sleep(0.01)
+        if not self._listens:
+            self._call(self.node.destroy_subscription, heard)
         return dict(zip(self.joint_state.name, self.joint_state.position, strict=True))
 
     def change_mode(self, mode: str, timeout: float = 20.0) -> Any:
@@ -161,7 +178,7 @@ class RosClient:
         return self._wait(self._call(handle.get_result_async), timeout, f"{name} to end")
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call in the executor's thread."""
+        """Call in the executor's thread: what another one destroys may be waited for at that moment."""
         return in_executor(self._executor, function, *arguments)
 
     def destroy(self, destroy: Callable[[Any], object], entity: Any) -> None:
@@ -180,15 +197,29 @@ class RosClient:
 
     def close(self) -> None:
         """Leave ROS."""
+        self._closing.set()  # first: an executor that is shut down while it takes a message raises
+        self._thread.join()
         self._executor.shutdown()
-        self._thread.join(5)
         self.node.destroy_node()
         self._context.shutdown()
 
 
 def shared_memory() -> set[str]:
-    """Files of Fast DDS' shared memory on this machine."""
-    return {entry for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)}
+    """Files of Fast DDS' shared memory on this machine that no process holds: those of systems that run are theirs."""
+    files = {entry for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)}
+    return files - _held() if files else files
+
+
+def _held() -> set[str]:
+    """Names of the files in /dev/shm that a process has mapped or open."""
+    found: set[str] = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            found.update(re.findall(r"/dev/shm/(\S+)", (process / "maps").read_text()))
+            for descriptor in (process / "fd").iterdir():
+                with contextlib.suppress(OSError):  # it has just been closed
+                    found.add(descriptor.readlink().name)
+    return found
 
 
 def leftovers(home: Path, name: str, shared_memory_before: set[str]) -> list[str]:
