@@ -157,8 +157,8 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
         assert service["cpu_percent"] >= 0
     assert oct((ctl.home / "default" / "keys").stat().st_mode & 0o777) == "0o700"
     assert "comms_manager" in ctl("status")
-    traced = json.loads(ctl("trace", "--for", "0.5", "--json", "--plot", str(ctl.home / "trace.png")))
-    assert traced["periods"] > 10
+    traced = json.loads(ctl("trace", "--for", "2", "--json", "--plot", str(ctl.home / "trace.png")))
+    assert traced["periods"] >= 3
     assert {part["title"].partition(":")[0] for part in traced["segments"]} >= {"comms_manager", "motion_manager"}
     assert traced["cost_percent"].keys() == {"comms_manager", "motion_manager"}
     assert (ctl.home / "trace.png").stat().st_size > 10_000
