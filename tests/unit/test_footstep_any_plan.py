@@ -242,7 +242,7 @@ def ready_for(plan: StepPlan) -> Bench:
 
 @example(make_plan([MOVE] * 3), [setting("header.frame_id", "/odom", 0), setting("start.header.frame_id", "/odom", 0)])
 @given(plans, st.lists(breaks, max_size=4))
-@examples(150)
+@examples(80)
 def test_a_plan_is_good_as_a_whole_or_moves_nothing(plan: StepPlan, broken: list[Break]) -> None:
     bench = ready_for(plan)
     stance = stands(bench, 1 - plan.steps[0].foot.foot_index)
@@ -264,7 +264,7 @@ def test_a_plan_is_good_as_a_whole_or_moves_nothing(plan: StepPlan, broken: list
 
 
 @given(st.integers(0, 7), st.integers(0, 9), st.integers(1, 5), st.lists(breaks, max_size=3))
-@examples(150)
+@examples(80)
 def test_an_update_is_good_as_a_whole_or_the_running_plan_goes_on(
     events: int, first: int, count: int, broken: list[Break]
 ) -> None:

@@ -42,7 +42,7 @@ class Watch:
         self.position, self.velocity = position.copy(), velocity.copy()
 
 
-@examples(30)
+@examples(15)
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(st.tuples(st.floats(-10, 10), st.floats(-1, 1), st.integers(1, 200)), min_size=1, max_size=12),
@@ -103,7 +103,7 @@ def test_a_trajectory_within_the_limits_is_followed_exactly() -> None:
         assert np.abs(limiter.position - target).max() < 1e-12
 
 
-@examples(50)
+@examples(25)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0))
 def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, shortest: float) -> None:
     rng = np.random.default_rng(seed)
@@ -147,7 +147,7 @@ def test_a_set_point_with_velocity_does_not_run_on() -> None:
     assert not reference.velocity.any()
 
 
-@examples(30)
+@examples(15)
 @given(st.data())
 def test_no_sequence_of_holds_moves_and_set_points_makes_a_joint_jump(data: st.DataObject) -> None:
     reference = JointReference(ROBOT)

@@ -422,7 +422,7 @@ def test_an_error_of_ours_repeats_the_last_command_and_then_falls(standing: Robo
 values = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1.0, -3.0, 1e9, 1e300])
 
 
-@examples(15)
+@examples(8)
 @given(st.data())
 @np.errstate(all="ignore")
 def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.DataObject) -> None:

@@ -255,7 +255,7 @@ numbers = st.one_of(st.floats(), st.floats(-4, 4), st.sampled_from([np.nan, np.i
 names = st.one_of(st.sampled_from([*ROBOT.joints]), st.text(max_size=5))
 
 
-@examples(150)
+@examples(60)
 @given(
     st.lists(
         st.tuples(

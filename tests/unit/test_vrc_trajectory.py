@@ -155,7 +155,7 @@ def test_stopping_decelerates_each_joint_as_told_and_stays():
 rests = st.tuples(*(st.tuples(st.floats(0.0, 1.0), st.floats(-6, 6), st.floats(0.01, 100)) for _ in NAMES))
 
 
-@examples(100)
+@examples(60)
 @given(rests)
 def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints):
     fraction, speed, deceleration = np.array(joints).T
@@ -206,7 +206,7 @@ def trajectories(draw):
     return points
 
 
-@examples(150)
+@examples(80)
 @given(trajectories(), positions)
 def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(points, here):
     try:
@@ -233,7 +233,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 sizes = st.lists(anything, max_size=4)
 
 
-@examples(200)
+@examples(80)
 @given(
     st.lists(st.sampled_from([*NAMES, "knee"]), max_size=4),
     st.lists(st.builds(Point, sizes, sizes, sizes, st.just(()), anything), max_size=4),
