@@ -255,8 +255,7 @@ def main() -> int:
     """Run the daemon of this computer until SIGTERM or SIGINT."""
     logging.basicConfig(
         level=logging.INFO,
-        format="%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s",
-        datefmt="%H:%M:%S",
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
         stream=sys.stderr,
     )
     stopping = False

@@ -26,7 +26,7 @@ class CommsManager:
         node = context.node
         self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
         self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot)
-        self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus))
+        self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
         self._backend = make_backend(context)
         # Microseconds since the epoch: greater than every sequence of an earlier run, so that a Motor which answers
         # the world before a restart is known.

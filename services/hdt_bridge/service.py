@@ -80,7 +80,7 @@ class HdtBridge:
             raise ConfigurationError(f"{context.robot.folder / 'robot.yaml'}: devices: none of kind hdt_bifrost")
         self._limbs = [_Limb(context.node, self._node, name) for name in names]
         self._diagnostics = self._node.create_subscription(DiagnosticArray, "/diagnostics", _unused, 10)
-        self._driver = context.node.publisher(STATISTICS[DRIVER].name, Statistics)
+        self._driver = context.node.publisher(STATISTICS[DRIVER].name, Statistics, latched=True)
 
     def run(self) -> None:
         """Forward until told to stop."""

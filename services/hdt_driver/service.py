@@ -27,7 +27,7 @@ from valor.hdt_driver.ros import DriverNode
 
 DIAGNOSE_EVERY = 1.0  # and at every change of state [s]
 
-_LOG_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
+_LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _log = logging.getLogger("hdt_driver")
 
 
@@ -146,7 +146,7 @@ class HdtDriver:
 
 def main() -> int:
     """Run until SIGTERM or SIGINT. Returns the exit status."""
-    logging.basicConfig(level=logging.INFO, format=_LOG_FORMAT, datefmt="%H:%M:%S", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, format=_LOG_FORMAT, stream=sys.stderr)
     stopping = threading.Event()
 
     def stop(signum: int, _frame: FrameType | None) -> None:

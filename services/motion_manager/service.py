@@ -36,6 +36,7 @@ from valor.common.service import Context, quiet_collector
 from valor.common.topics import (
     BALANCE_WEIGHTS,
     BEHAVIOR,
+    BEHAVIOR_CHANGE,
     DEVICES,
     FOOTSTEP_PLAN,
     HAND_GOAL,
@@ -79,6 +80,7 @@ class MotionManagerService:
         self._manager = MotionManager(context.robot, controller_model(context.robot))
         self._motor = node.publisher(MOTOR.name, Motor)
         self._motion_state = node.publisher(MOTION_STATE.name, MotionState)
+        self._behavior_change = node.publisher(BEHAVIOR_CHANGE.name, MotionState, latched=True)
         self._rejection = node.publisher(REJECTION.name, Rejection)
         self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
         self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE)
@@ -209,6 +211,7 @@ class MotionManagerService:
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes
             _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
+            self._behavior_change.publish(manager.report())
 
     def _counts(self) -> tuple[int, int]:
         """What was refused and what was missed, since start."""

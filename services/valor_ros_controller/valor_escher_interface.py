@@ -80,7 +80,7 @@ class ValorEscherInterface:
         self._step_status = node.subscriber(topics.STEP_STATUS.name, StepStatus)
         self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
         self._pelvis = node.publisher(topics.PELVIS.name, PelvisSetpoint)
-        self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport)
+        self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport, latched=True)
         self._commander = commander
         commander.answered = self.wake
         self._transition: BehaviorTransition | None = None

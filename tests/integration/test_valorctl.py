@@ -12,6 +12,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -133,6 +134,32 @@ def shared_memory(processes: list[psutil.Process]) -> set[str]:
     return {line[line.index("/dev/shm/") :] for line in lines if "/dev/shm/" in line and "lttng" not in line}
 
 
+def watched(ctl: Cli) -> None:
+    """It goes on until Ctrl-C, which is no failure."""
+    watch = ctl.start("status", "--watch", "--json")
+    assert watch.stdout
+    looks = [json.loads(watch.stdout.readline()) for _ in range(2)]
+    assert looks[0]["clock"] != looks[1]["clock"]
+    watch.send_signal(signal.SIGINT)
+    _, err = watch.communicate(timeout=TIMEOUT)
+    assert (watch.returncode, err) == (0, "")
+
+
+def soon(ctl: Cli) -> None:
+    """Who asks waits for nothing that comes once a second: little more than its imports take."""
+    imports = "import valor.valorctl.app, valor.valorctl.status, valor.valorctl.status_view"
+
+    def best(*command: str | Path) -> float:
+        def once() -> float:
+            began = time.monotonic()
+            subprocess.run(command, env=os.environ | {"VALOR_HOME": str(ctl.home)}, check=True, capture_output=True)
+            return time.monotonic() - began
+
+        return min(once() for _ in range(3))
+
+    assert best(VALORCTL, "status") < 2.5 * best(sys.executable, "-c", imports)
+
+
 def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     told = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--actuators", "ideal", "--seed", "3")
     for name in ("bifrostd", "comms_manager", "motion_manager"):
@@ -168,7 +195,9 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
             assert turns(int(thread)).length == after(lambda: take_turns("short")).length
     assert "pushed" in ctl("push", "-1.5", "0", "-.5")
     assert "finite" in ctl("push", "nan", "0", "0", status=2)
-    assert "bifrostd" in ctl("logs", "-n", "3")
+    assert "bifrostd" in ctl("logs", "-n", "300")
+    watched(ctl)
+    soon(ctl)
     assert ctl("logs", "bifrostd", "-n", "1").count("\n") == 1
     assert "up already" in ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), status=1)
 
@@ -358,6 +387,32 @@ def one_walks_at_a_time(ctl: Cli) -> None:
     assert "control mode is stand_manipulate" in ctl("mode", "stand_manipulate")
 
 
+def without_supervisor(ctl: Cli) -> None:
+    """What runs obeys, and is shown."""
+    os.kill(ctl.supervisord(), signal.SIGKILL)
+    assert "accepted" in ctl("mode", "soft_stop")
+    assert "nothing restarts" in ctl("status", status=1)
+    seen = ctl.status()
+    assert not seen["supervised"]
+    assert {service["state"] for service in seen["services"].values()} == {"ready"}
+    assert seen["way_out"] == "valorctl mode stand"
+
+
+def fallen(ctl: Cli) -> None:
+    """Why, since when, what to do, and where it is recorded."""
+    ctl("push", "0", "300", "0")
+
+    def recorded() -> dict[str, object] | None:
+        seen = ctl.status()
+        return seen if seen["fallen"] and seen["bag"] else None  # the recorder writes twice a second
+
+    seen = wait_until(recorded, PATIENCE, "the fall is seen and recorded", 0.5)
+    assert seen["reason"]
+    assert seen["since_s"] > 0
+    assert seen["way_out"] == "valorctl get-up"
+    assert seen["bag"] == str(ctl.home / "whole.mcap")
+
+
 @pytest.mark.timeout(600)
 def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     told = ctl("up", "--bag", str(ctl.home / "whole.mcap"))
@@ -415,6 +470,8 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     joined = f'{ctl("env")}\nexec "{sys.executable}" -c "{program}"'
     subprocess.run(["/bin/sh", "-c", joined], check=True, timeout=TIMEOUT)
 
+    without_supervisor(ctl)
+    fallen(ctl)
     held = shared_memory(ctl.processes())
     assert re.search(rf"recorded {bag}: \d+\.\d MB, \d+", ctl("down"))
     ctl.assert_nothing_left()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -149,6 +150,17 @@ def test_an_initial_mode_that_cannot_be_starts_nothing(
     monkeypatch.setattr("sys.argv", ["valorctl", "up", "--initial-mode", mode])
     assert main() == 1
     assert "--initial-mode" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_few_descriptors_take_one_line(tmp_path: Path) -> None:
+    valorctl = Path(sys.executable).with_name("valorctl")
+    told = subprocess.run(
+        ["/bin/sh", "-c", f'ulimit -n 64; exec "{valorctl}" up'],
+        env=os.environ | {"VALOR_HOME": str(tmp_path)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert told.returncode == 1
+    assert told.stderr == "valorctl: a process may open 64 files here (ulimit -Hn); expected at least 256\n"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,16 +1,25 @@
-"""How robot time has run since the start, from what the clock says."""
+"""What `status` says: how robot time has run, how the robot fares, and what to do about it."""
 
 from __future__ import annotations
 
+import os
+import time
+from dataclasses import replace
+from datetime import datetime
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace as replace_settings
+from rich.console import Console
 
-from valor.common.instance import ClockMode, Settings
+from valor.common.instance import ClockMode, Instance, Settings
 from valor.common.messages import ClockStatus
-from valor.valorctl.status import Status
+from valor.valorctl.health import Health
+from valor.valorctl.status import Condition, Status, bag_of
+from valor.valorctl.status_view import BAD, view
 
 
 def status(mode: ClockMode, pace: float, robot_time: float, slip: float) -> Status:
@@ -40,3 +49,70 @@ def test_json_tells_both_windows() -> None:
     clock = status("lockstep", 1.0, 9.0, 1.0).as_json()["clock"]
     assert clock["real_time_factor"] == 1.0
     assert clock["real_time_factor_since_start"] == pytest.approx(0.9)
+
+
+def shown(status: Status, width: int) -> list[str]:
+    """What stands on a screen of that width."""
+    console = Console(width=width, highlight=False, file=StringIO())
+    console.print(view(status))
+    return console.file.getvalue().splitlines()
+
+
+BEGAN = time.time() - 44.0
+BAG = Path("/home/somebody/.valor/lab/bags/2026-01-31_14-05-00/2026-01-31_14-05-00.mcap")
+FALLEN = replace(
+    status("lockstep", 1.0, 45.0, 12.3),
+    instance="lab",
+    behavior="fall",
+    control_mode="none",
+    condition=Condition("the pelvis is tilted 62°", 42.0, BEGAN, BAG),
+    services=[Health("motion_manager", "failed", 1234567, 100.0, 1108.0, 12, "runs, but silent for 12.3 s")],
+)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_fall_is_told_with_its_reason_time_way_out_and_bag(width: int) -> None:
+    lines = shown(FALLEN, width)
+    text = "\n".join(lines)
+    assert (
+        f"fallen since {datetime.fromtimestamp(BEGAN):%H:%M:%S} (42.0 s of robot time): the pelvis is tilted 62°"
+        in lines
+    )
+    assert "→ valorctl get-up --instance lab" in lines
+    assert str(BAG) in text
+    assert all(len(line.rstrip()) <= width for line in lines)
+    colours = {span.style for line in view(FALLEN).renderables[:5] for span in getattr(line, "spans", ())}
+    assert BAD in colours
+    told = FALLEN.as_json()
+    assert (told["fallen"], told["reason"], told["since_s"], told["bag"]) == (
+        True,
+        "the pelvis is tilted 62°",
+        42.0,
+        str(BAG),
+    )
+    assert told["way_out"] == "valorctl get-up --instance lab"
+
+
+def test_who_stands_needs_no_way_out() -> None:
+    standing = replace(
+        FALLEN, behavior="stand", condition=Condition("requested by somebody", 1.0, time.time() - 44.0, None)
+    )
+    text = "\n".join(shown(standing, 120))
+    assert "behavior stand for 44 s: requested by somebody" in text
+    assert "→" not in text
+    assert standing.as_json()["way_out"] is None
+    assert standing.as_json()["fallen"] is False
+
+
+def test_a_moment_is_in_the_first_bag_that_was_written_after_it(tmp_path: Path) -> None:
+    instance = Instance("lab", tmp_path)
+    for number, changed in enumerate((100.0, 200.0, 300.0)):
+        bag = instance.bags / "row" / f"row_{number}.mcap"
+        bag.parent.mkdir(parents=True, exist_ok=True)
+        bag.touch()
+        os.utime(bag, (changed, changed))
+    settings = FALLEN.settings
+    found = [bag_of(instance, settings, moment) for moment in (50.0, 150.0, 250.0, 350.0)]
+    assert [bag and bag.name for bag in found] == ["row_0.mcap", "row_1.mcap", "row_2.mcap", None]
+    for named in (instance.bags / "row", instance.bags / "row" / "row_1.mcap"):
+        assert bag_of(instance, replace_settings(settings, bag=named), 150.0) == instance.bags / "row" / "row_1.mcap"

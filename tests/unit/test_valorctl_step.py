@@ -18,6 +18,7 @@ from valor.footstep_converter.plan import Limits, convert
 from valor.valorctl import step_picture
 from valor.valorctl.step_plan import FEET, PlanStep, load
 from valor.valorctl.step_planner import middle, plan_to
+from valor.valorctl.stepping import intention
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 TABLE = ROBOT.tables.footsteps
@@ -110,3 +111,12 @@ def test_a_picture_is_drawn(tmp_path: Path) -> None:
     assert file.read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValorError, match="cannot be written"):
         step_picture.draw(tmp_path / "none" / "plan.png", ROBOT.tables.feet, start, steps, None)
+
+
+def test_what_is_about_to_be_done_is_told_from_where_the_robot_stands() -> None:
+    steps = plan_to((-3.0, 0.0, 0.0), TABLE, ROBOT.tables.walking)
+    assert intention(steps, (-3.0, 0.0, 0.0), relative=False).startswith(f"{len(steps)} steps: 3.00 m back (from here")
+    assert "--relative" in intention(steps, (-3.0, 0.0, 0.0), relative=False)
+    told = intention(steps, (1.0, -0.2, math.radians(-30.0)), relative=True)
+    assert "1.00 m ahead, 0.20 m to the right, 30° right" in told
+    assert "odom" not in told

@@ -14,7 +14,7 @@ from tests.unit.motion_states import motion_state
 from valor.common.errors import ValorError
 from valor.common.robot import RobotDescription
 from valor.valorctl.steering import SIDEWAYS, TURNING, Line
-from valor.valorctl.walking import Order
+from valor.valorctl.walking import Order, _Run
 
 
 @pytest.mark.parametrize(
@@ -76,3 +76,14 @@ def test_a_robot_beside_its_line_is_led_back_to_it(
     assert abs(beside) < 0.01
     assert abs(line.turned(motion_state(position=(place[0], place[1]), heading=psi))) < 0.01
     assert way == pytest.approx(60.0 * math.hypot(forward, left), rel=1e-3)
+
+
+def test_a_walk_ends_where_robot_time_begins_anew() -> None:
+    run = _Run(Order(forward=0.3, seconds=60.0), motion_state(time=50 * 10**9))
+    walked = [motion_state((0.3 * i, 0.0), time=(50 + i) * 10**9) for i in range(4)]
+    assert list(run.consider([*walked, motion_state(time=10**9), motion_state(time=2 * 10**9)])) == walked
+    assert run.over
+    result = run.result(None)
+    assert result.duration == 3.0
+    assert result.distance == pytest.approx(0.9)
+    assert "began anew" in result.reason

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
-from valor.analysis import track_builder
+from valor.analysis import track_builder, track_plot
 from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Figures, Timeliness, Track, knees
 from valor.analysis.walk_report import WalkReport
@@ -117,3 +118,9 @@ def test_states_without_their_measurement_make_no_track() -> None:
     builder = TrackBuilder(ROBOT)
     builder.add(walk()[0], [])
     assert builder.track() is None
+
+
+def test_a_walk_is_drawn(tmp_path: Path) -> None:
+    states, measured = walk()
+    file = track_plot.draw(Track.heard(states, measured, ROBOT), tmp_path / "walk.png", "0.24 m in 0.8 s")
+    assert file.read_bytes().startswith(b"\x89PNG")

@@ -118,8 +118,15 @@ class Instance:
     @property
     def not_up(self) -> str:
         """What to say of it while it is down: how to get it up."""
-        named = "" if self.name == DEFAULT_NAME else f" --instance {self.name}"
-        return f"instance {self.name!r} is not up (no {self.settings_file}); `valorctl up{named}` starts it"
+        return (
+            f"instance {self.name!r} is not up (no {self.settings_file}); "
+            f"`valorctl up{self.option(self.name)}` starts it"
+        )
+
+    @staticmethod
+    def option(name: str) -> str:
+        """What names an instance behind a verb: nothing, if it is the default one."""
+        return "" if name == DEFAULT_NAME else f" --instance {name}"
 
     def settings(self) -> Settings:
         """The settings of the running instance.

@@ -9,7 +9,6 @@ import contextlib
 import ctypes
 import gc
 import logging
-import math
 import os
 import resource
 import signal
@@ -31,7 +30,7 @@ from valor.common.topics import STATISTICS
 from valor.common.trace import Tracer
 
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the service again
-_LOG_FORMAT = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s"
+_LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 
 class Context:
@@ -87,17 +86,13 @@ class Service(Protocol):
 class StatisticsPublisher:
     """Counts a loop's cycles and publishes ``<service>/statistics`` once a second and at every change of state.
 
-    Whoever begins to listen is told the newest at once. Used from the loop's own thread.
+    Latched: whoever begins to listen is told the newest at once. Used from the loop's own thread.
     """
 
     PERIOD = 1.0  # [s]
-    GREETING_DELAY = 0.1  # from the news of a listener until it has connected [s]
 
     def __init__(self, node: bifrost.Node, service: str, control_period: float) -> None:
-        self._publisher = node.publisher(STATISTICS[service].name, Statistics)
-        self._newest: Statistics | None = None
-        self._greet_at = math.inf
-        node.discovery.watch("subscriber", STATISTICS[service].name, self._listeners_changed)
+        self._publisher = node.publisher(STATISTICS[service].name, Statistics, latched=True)
         self._service = service
         self._control_period = control_period
         self._cpu_time = time.process_time()
@@ -150,32 +145,19 @@ class StatisticsPublisher:
         self._overruns += work > self._control_period
         if now - self._window_start >= self.PERIOD:
             self._publish(now)
-        elif now >= self._greet_at:
-            self._greet()
 
     def idle(self) -> None:
         """Publish if a second has passed; for loops that have nothing to count."""
         now = time.perf_counter()
         if now - self._window_start >= self.PERIOD:
             self._publish(now)
-        elif now >= self._greet_at:
-            self._greet()
-
-    def _listeners_changed(self) -> None:
-        """Called in the discovery thread."""
-        self._greet_at = time.perf_counter() + self.GREETING_DELAY
-
-    def _greet(self) -> None:
-        self._greet_at = math.inf
-        if self._newest is not None:
-            self._publisher.publish(self._newest)
 
     def _publish(self, now: float) -> None:
         if self._count is not None:
             self.rejected, self.drops = self._count()
         cycles = max(1, self._window_cycles)
         cpu_time = time.process_time()
-        self._newest = Statistics(
+        newest = Statistics(
             service=self._service,
             pid=os.getpid(),
             state=self._state,
@@ -191,7 +173,7 @@ class StatisticsPublisher:
             drops=self.drops,
             rejected=self.rejected,
         )
-        self._publisher.publish(self._newest)
+        self._publisher.publish(newest)
         self._cpu_time = cpu_time
         self._reset(now)
 
@@ -216,7 +198,7 @@ def quiet_collector() -> None:
 
 def run(name: str, make: Callable[[Context], Service]) -> int:
     """Start a service and run it until SIGTERM or SIGINT. Returns the exit status."""
-    logging.basicConfig(level=logging.INFO, format=_LOG_FORMAT, datefmt="%H:%M:%S", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, format=_LOG_FORMAT, stream=sys.stderr)
     log = logging.getLogger(name)
     try:
         context = Context(name, Instance.from_environment())

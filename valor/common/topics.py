@@ -47,6 +47,7 @@ PROPRIOCEPTOR                 = Topic("comms_manager/proprioceptor",       m.Pro
 CLOCK                         = Topic("comms_manager/clock",               m.ClockStatus,      _COMMS,     10.0,         1, "robot time against the wall's")
 MOTOR                         = Topic("motion_manager/motor",              m.Motor,            _MOTION,    CONTROL_RATE, 1, "commands to the motors")
 MOTION_STATE                  = Topic("motion_manager/motion_state",       m.MotionState,      _MOTION,    CONTROL_RATE, 1, "behavior, estimate, balance")
+BEHAVIOR_CHANGE               = Topic("motion_manager/behavior_change",    m.MotionState,      _MOTION,    None,         0, "its state when the behavior changed last; latched")
 REJECTION                     = Topic("motion_manager/rejection",          m.Rejection,        _MOTION,    None,         1, "commands not obeyed, and why")
 STEP_STATUS                   = Topic("motion_manager/step_status",        m.StepStatus,       _MOTION,    10.0,         1, "progress of a footstep plan")
 JOINT_SETPOINTS               = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,   _VRC,       250.0,        1, "set-points by joint name")
@@ -77,7 +78,7 @@ FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Sta
 BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
 
 TOPICS: tuple[Topic, ...] = (
-    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, PELVIS,
+    PROPRIOCEPTOR, CLOCK, MOTOR, MOTION_STATE, BEHAVIOR_CHANGE, REJECTION, STEP_STATUS, JOINT_SETPOINTS, VELOCITY, PELVIS,
     HAND_GOAL, HAND_GOAL_STATUS, JOINT_GAINS, BALANCE_WEIGHTS, DEVICES,
     HDT_LEFT_ARM_COMMAND, HDT_RIGHT_ARM_COMMAND, HDT_LEFT_HAND_COMMAND, HDT_RIGHT_HAND_COMMAND,
     HDT_LEFT_ARM_STATE, HDT_RIGHT_ARM_STATE, HDT_LEFT_HAND_STATE, HDT_RIGHT_HAND_STATE, CONTROL_MODE,

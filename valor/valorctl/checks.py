@@ -60,9 +60,13 @@ class Finding:
     advice: str = ""  # what to do about it
 
 
-def run_all(instance: Instance) -> list[Finding]:
-    """All checks, in the order in which one would look."""
-    return [check(instance) for check in CHECKS]
+def run_all(instance: Instance, tell: Callable[[str], None] = lambda name: None) -> list[Finding]:
+    """All checks, in the order in which one would look; ``tell`` is told which comes next."""
+    findings = []
+    for place, check in enumerate(CHECKS):
+        tell(f"{place + 1} of {len(CHECKS)}: {check.__name__.strip('_').replace('_', ' ')}")
+        findings.append(check(instance))
+    return findings
 
 
 def _python(_: Instance) -> Finding:

@@ -94,6 +94,14 @@ def services(incomplete: str) -> Iterable[str]:
 
 
 @_named
+def levels(incomplete: str) -> Iterable[str]:
+    """Of logs."""
+    from valor.valorctl.log_reader import LEVELS
+
+    return _begun(incomplete, LEVELS)
+
+
+@_named
 def arm_presets(ctx: typer.Context, incomplete: str) -> Iterable[str]:
     """Postures of the arms of the robot that is up."""
     return _begun(incomplete, _table(_settings(ctx).robot)["arm_presets"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -22,16 +23,16 @@ def complain(text: str) -> None:
     print(f"valorctl: {text}", file=sys.stderr, flush=True)
 
 
-def say_json(content: Any) -> None:
+def say_json(content: Any, one_line: bool = False) -> None:
     """An object on stdout."""
-    say(json.dumps(content, indent=2))
+    say(json.dumps(content, indent=None if one_line else 2))
 
 
-def rich_console() -> Console:
-    """For tables and colours: never wraps text, and is as wide as it takes where no terminal sets a width."""
+def rich_console(wrap: bool = False) -> Console:
+    """For tables and colours: as wide as it takes where no terminal sets a width; there it wraps only if told to."""
     from rich.console import Console
 
-    return Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 200)
+    return Console(highlight=False, soft_wrap=not wrap, width=None if sys.stdout.isatty() else 200)
 
 
 def say_rows(rows: Iterable[tuple[str, str]]) -> None:
@@ -55,7 +56,9 @@ class Progress:
         """What is waited for now; shown on terminals only."""
         if self._live and text != self._last:
             self._last = text
-            print(f"\r\033[K… {text}", end="", flush=True)
+            width = shutil.get_terminal_size().columns - 1  # a line that wraps could not be taken back
+            line = f"… {text}"
+            print(f"\r\033[K{line if len(line) <= width else line[: width - 1] + '…'}", end="", flush=True)
 
     def stage(self, text: str) -> None:
         """A stage of a longer work begins: shown as what is waited for, and where that cannot be shown as a line."""
@@ -88,7 +91,7 @@ def progress() -> Iterator[Progress]:
 
 
 @contextlib.contextmanager
-def bar(what: str, total: float, unit: str) -> Iterator[Callable[[float], None]]:
+def bar(what: str, total: float, unit: str, digits: int = 1) -> Iterator[Callable[[float], None]]:
     """A bar that fills up on a terminal; elsewhere a line at every tenth. Gives what to call with how much is done."""
     if not sys.stdout.isatty():
         tenth = 0
@@ -97,7 +100,7 @@ def bar(what: str, total: float, unit: str) -> Iterator[Callable[[float], None]]
             nonlocal tenth
             if tenth < int(10.0 * done / total) <= 10:
                 tenth = int(10.0 * done / total)
-                say(f"{what}: {done:.1f} of {total:.1f} {unit}")
+                say(f"{what}: {done:.{digits}f} of {total:.{digits}f} {unit}")
 
         yield line
         return
@@ -106,9 +109,9 @@ def bar(what: str, total: float, unit: str) -> Iterator[Callable[[float], None]]
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn(f"{{task.completed:.1f}} of {{task.total:.1f}} {unit}"),
+        TextColumn(f"{{task.completed:.{digits}f}} of {{task.total:.{digits}f}} {unit}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=rich_console(), transient=True) as shown:
+    with Progress(*columns, console=rich_console(wrap=True), transient=True) as shown:
         task = shown.add_task(what, total=total)
         yield lambda done: shown.update(task, completed=max(0.0, min(done, total)))

@@ -7,9 +7,9 @@ saying so. bifrostd says it by answering; the services say it by their ``Statist
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import bifrost
 from valor.common.instance import Instance
@@ -116,18 +116,25 @@ class Listener:
     def __exit__(self, *exception: object) -> None:
         self.node.close()
 
-    def listen(self, timeout: float) -> None:
-        """Take in what is said within ``timeout`` [s]; returns as soon as something was."""
+    def listen(self, timeout: float, others: Sequence[bifrost.Subscriber[Any]] = ()) -> None:
+        """Take in what is said within ``timeout`` [s]; returns as soon as something was, or has come to others."""
         if DAEMON in self._names:
             self._ask_daemon()
-        for subscriber in bifrost.wait(self._subscribers, timeout=timeout):
-            received = subscriber.latest()
+        for subscriber in bifrost.wait([*self._subscribers, *others], timeout=timeout):
+            received = subscriber.latest() if subscriber in self._subscribers else None
             if received is None:
                 continue
             said: Statistics = received.message
             self.words[said.service] = Word(
                 said.pid, said.state, said.detail, said.cpu_percent, said.memory_mib, received.stamp * 1e-9
             )
+
+    def may_speak(self, name: str) -> bool:
+        """Whether a word of a process may be on its way: not if the network knows nobody who would say it."""
+        if name not in STATISTICS or not self.node.discovery.registered:
+            return True
+        topic = self.node.graph().topics.get(STATISTICS[name].name)
+        return bool(topic and topic.publishers)
 
     def _ask_daemon(self) -> None:
         word = self.words.get(DAEMON)

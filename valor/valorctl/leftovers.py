@@ -35,8 +35,8 @@ class Supervised:
     command: str
 
 
-def supervised_processes() -> list[Supervised]:
-    """Those of all instances, of all users that we may look at."""
+def supervised_processes(instance: Instance | None = None) -> list[Supervised]:
+    """Those of one instance, or of all, of all users that we may look at."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
@@ -50,13 +50,15 @@ def supervised_processes() -> list[Supervised]:
                         " ".join(process.cmdline()),
                     )
                 )
-    return found
+    if instance is None:
+        return found
+    home = str(instance.folder.parent)
+    return [process for process in found if (process.home, process.instance) == (home, instance.name)]
 
 
 def processes_of(instance: Instance) -> list[psutil.Process]:
     """Those of one instance."""
-    home = str(instance.folder.parent)
-    return [p.process for p in supervised_processes() if (p.home, p.instance) == (home, instance.name)]
+    return [process.process for process in supervised_processes(instance)]
 
 
 def shared_memory_of(processes: Iterable[psutil.Process]) -> set[Path]:

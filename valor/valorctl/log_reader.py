@@ -1,85 +1,166 @@
-"""The logs of an instance's processes: their last lines, and what comes."""
+"""The logs of an instance's processes, merged by time: what they printed last, and what comes."""
 
 from __future__ import annotations
 
 import os
+import re
 import time
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Self, TextIO
 
-from valor.common.errors import ValorError, require_one_of
+from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import Instance
 from valor.common.processes import BY_NAME
 
+SUPERVISOR = "supervisord"
+SERVICES = (*BY_NAME, SUPERVISOR)
+LEVELS = ("debug", "info", "warning", "error", "critical")
+
 _POLL_PERIOD = 0.1  # [s]
+# As Python's logging and supervisord begin a line; what does not begin so belongs to the line above.
+_LINE = re.compile(r"(?P<time>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)[,.](?P<ms>\d{3}) (?P<level>[A-Z]+):? (?P<text>.*)")
+_LEVEL = {"WARN": "warning", "CRIT": "critical", "FATAL": "critical", "TRAC": "debug", "BLAT": "debug"}
+_AGO = re.compile(r"(\d+(?:\.\d+)?) ?(s|min|h|d)")
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_MOMENTS = ("%Y-%m-%d %H:%M:%S", "%Y-%m-%d %H:%M", "%Y-%m-%d", "%H:%M:%S", "%H:%M")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a log.
+
+    Attributes:
+        when: it was printed, by the computer's clock; of a line without a time, that of the one above.
+        level: one of ``LEVELS``.
+        text: without time and level.
+    """
+
+    when: datetime
+    level: str
+    service: str
+    text: str
+    begins: bool  # it has a time of its own
+
+
+def moment(text: str, now: datetime) -> datetime:
+    """When ``--since`` means: so long ago (``30s``, ``5min``, ``2h``), or a time of today or of a date.
+
+    Raises:
+        ConfigurationError: it is neither.
+    """
+    if ago := _AGO.fullmatch(text):
+        return now - timedelta(seconds=float(ago[1]) * _SECONDS[ago[2]])
+    for form in _MOMENTS:
+        try:
+            found = datetime.strptime(text, form)
+        except ValueError:
+            continue
+        return found if "%Y" in form else datetime.combine(now.date(), found.time())
+    raise ConfigurationError(f"--since {text!r}: expected 30s, 5min, 2h, 14:05, 14:05:30 or 2026-01-31 14:05")
 
 
 class LogReader:
-    """Reads one log, or all with their names before each line. A context manager."""
+    """Reads one log, or all. A context manager."""
 
-    def __init__(self, instance: Instance, name: str | None) -> None:
+    def __init__(self, instance: Instance, name: str | None, since: datetime | None = None, level: str = "") -> None:
         """Open the logs.
 
+        Args:
+            instance: up or not.
+            name: of a service; None: all.
+            since: leave out what is older.
+            level: leave out what is less grave; empty: nothing.
+
         Raises:
-            ValorError: unknown process, or no log of it; lists the known.
+            ValorError: unknown process or level, or no log of it; lists the known.
         """
-        known = [*BY_NAME, "supervisord"]
         if name is not None:
-            require_one_of("service", name, known)
-        names = [name] if name else list(BY_NAME)
-        paths = {each: instance.logs / f"{each}.log" for each in names}
-        self._paths = {each: path for each, path in paths.items() if path.exists()}
-        if not self._paths:
+            require_one_of("service", name, SERVICES)
+        if level and level not in LEVELS:
+            raise ConfigurationError(f"--level {expected(level, LEVELS)}")
+        paths = {each: instance.logs / f"{each}.log" for each in ([name] if name else SERVICES)}
+        self._logs = {each: _Log(each, path) for each, path in paths.items() if path.exists()}
+        if not self._logs:
             of = f"of {name} " if name else ""
             raise ValorError(f"instance {instance.name!r}: no log {of}in {instance.logs}")
-        width = max(map(len, names))
-        self._prefix = {each: "" if name else f"{each:{width}} | " for each in names}
-        self._files: dict[str, TextIO] = {}
-        self._partial: dict[str, str] = {}
-        for each in self._paths:
-            self._open(each)
+        self._since = since
+        self._gravest = frozenset(LEVELS[LEVELS.index(level) if level else 0 :])
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for file in self._files.values():
-            file.close()
+        for log in self._logs.values():
+            log.close()
 
-    def _open(self, name: str) -> None:
-        self._files[name] = open(self._paths[name], errors="replace")  # noqa: SIM115
-        self._partial[name] = ""
+    def take(self) -> list[Line]:
+        """What has been printed and was not taken before, in the order of time."""
+        lines = (line for log in self._logs.values() for line in log.take())
+        return sorted(filter(self._wanted, lines), key=lambda line: line.when)
 
-    def last(self, count: int) -> list[str]:
-        """The last ``count`` lines of each log."""
-        lines = []
-        for name, file in self._files.items():
-            lines += [self._prefix[name] + line.rstrip("\n") for line in deque(file, maxlen=count)]
+    def wait(self) -> list[Line]:
+        """Likewise; waits a moment if there is nothing."""
+        lines = self.take()
+        if not lines:
+            time.sleep(_POLL_PERIOD)
         return lines
 
-    def wait(self) -> Iterator[str]:
-        """Lines that have come since; waits a moment if there are none. Follows a log that was begun anew."""
-        any_line = False
-        for name in self._paths:
-            for line in self._new(name):
-                any_line = True
-                yield self._prefix[name] + line
-        if not any_line:
-            time.sleep(_POLL_PERIOD)
+    def _wanted(self, line: Line) -> bool:
+        return line.level in self._gravest and (self._since is None or line.when >= self._since)
 
-    def _new(self, name: str) -> Iterator[str]:
-        text = self._partial[name] + self._files[name].read()
-        *lines, self._partial[name] = text.split("\n")
-        yield from lines
-        if not lines and self._begun_anew(name):
-            self._files[name].close()
-            self._open(name)
 
-    def _begun_anew(self, name: str) -> bool:
+class _Log:
+    """One file, also when it is begun anew."""
+
+    def __init__(self, service: str, path: Path) -> None:
+        self._service, self._path = service, path
+        self._file = self._open()
+        self._partial = ""
+        # Of what is printed before anything has a time: the file itself is no older than that.
+        self._when, self._level = datetime.fromtimestamp(path.stat().st_mtime), "info"
+        self._any = False
+
+    def _open(self) -> TextIO:
+        return open(self._path, errors="replace")
+
+    def close(self) -> None:
+        self._file.close()
+
+    def take(self) -> list[Line]:
+        *texts, self._partial = (self._partial + self._file.read()).split("\n")
+        if not texts and self._begun_anew():
+            self._file.close()
+            self._file, self._partial = self._open(), ""
+        return self._lines(texts)
+
+    def _lines(self, texts: Iterable[str]) -> list[Line]:
+        early: list[str] = []
+        lines: list[Line] = []
+        for text in texts:
+            if found := _LINE.match(text):
+                self._when = datetime.fromisoformat(f"{found['time']}.{found['ms']}")
+                self._level = _LEVEL.get(found["level"], found["level"].lower())
+                self._any = True
+                lines += [Line(self._when, "info", self._service, each, False) for each in early]
+                early.clear()
+                own = found["text"].removeprefix(f"{self._service}: ")
+                lines.append(Line(self._when, self._level, self._service, own, True))
+                continue
+            if text.startswith("Traceback "):
+                self._level = "error"
+            if self._any:
+                lines.append(Line(self._when, self._level, self._service, text, False))
+            else:
+                early.append(text)
+        return lines + [Line(self._when, self._level, self._service, each, False) for each in early]
+
+    def _begun_anew(self) -> bool:
         try:
-            there = os.stat(self._paths[name])
+            there = os.stat(self._path)
         except FileNotFoundError:
             return False
-        ours = os.fstat(self._files[name].fileno())
-        return there.st_ino != ours.st_ino or there.st_size < self._files[name].tell()
+        ours = os.fstat(self._file.fileno())
+        return there.st_ino != ours.st_ino or there.st_size < self._file.tell()

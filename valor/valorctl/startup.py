@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import resource
 import sys
 import time
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
-from valor.common.errors import ValorError, expected
+from valor.common.errors import ConfigurationError, ValorError, expected
 from valor.common.instance import Instance, Settings
 from valor.common.processes import BY_NAME, Process
 from valor.valorctl import instance_setup, leftovers, ros_domain, shutdown, status, supervision, supervisor_config
@@ -39,6 +40,7 @@ def bring_up(instance: Instance, plan: instance_setup.Plan, progress: Progress, 
     Raises:
         ValorError: it is up already, or did not come up; then nothing of it is left.
     """  # fmt: skip
+    require_descriptors()
     with instance_setup.changing(instance):
         refuse_if_up(instance)
         if leftovers.processes_of(instance) or leftovers.files_of(instance):
@@ -62,6 +64,20 @@ def refuse_if_up(instance: Instance) -> None:
             f"instance {instance.name!r} is up already; `valorctl down --instance {instance.name}` first, "
             "or give the new one another name with --instance"
         )
+
+
+def require_descriptors() -> None:
+    """See that processes may open what they need, this one included.
+
+    Raises:
+        ConfigurationError: they may not.
+    """
+    allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = supervisor_config.DESCRIPTORS
+    if most != resource.RLIM_INFINITY and most < needed:
+        raise ConfigurationError(f"a process may open {most} files here (ulimit -Hn); expected at least {needed}")
+    if allowed != resource.RLIM_INFINITY and allowed < needed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, most))
 
 
 def _bring_up(

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
 
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ClockStatus, ControlModeReport, MotionState
 from valor.common.processes import BY_NAME, RECORDER
-from valor.common.topics import CLOCK, CONTROL_MODE, MOTION_STATE
-from valor.valorctl import leftovers
+from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, MOTION_STATE, Topic
 from valor.valorctl.health import SILENCE, Health, Listener, judge
 from valor.valorctl.recording_report import Glance, glance
-from valor.valorctl.supervision import ProcessInfo, Supervisor
+from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor, SupervisorError
+
+FALL = "fall"
+WAY_OUT = {FALL: "get-up", "freeze": "mode stand_prep", "soft_stop": "mode stand"}
+"""The verb that leads out of a behavior in which the robot obeys nothing else."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How the robot came to its behavior."""
+
+    reason: str
+    since: float  # robot time [s]
+    began: float  # wall clock [s]
+    bag: Path | None  # the recording of its beginning, as far as there is one
 
 
 @dataclass(frozen=True)
@@ -28,12 +42,25 @@ class Status:
     control_mode: str | None
     clock: ClockStatus | None
     services: list[Health]
-    recording: Glance | None  # None: the profile has no recorder
+    recording: Glance | None = None  # None: the profile has no recorder
+    condition: Condition | None = None
+    supervised: bool = True  # whether supervisord answers, which restarts what ends
 
     @property
     def ready(self) -> bool:
         """Whether every process is ready."""
         return all(service.state == "ready" for service in self.services)
+
+    @property
+    def fallen(self) -> bool | None:
+        """Whether the robot has fallen."""
+        return None if self.behavior is None else self.behavior == FALL
+
+    @property
+    def way_out(self) -> str | None:
+        """The command that leads out of a behavior in which the robot obeys nothing else."""
+        verb = WAY_OUT.get(self.behavior or "")
+        return verb and f"valorctl {verb}{Instance.option(self.instance)}"
 
     @property
     def factor_since_start(self) -> float | None:
@@ -50,13 +77,20 @@ class Status:
 
     def as_json(self) -> dict[str, Any]:
         """The object of ``status --json``."""
-        clock = self.clock
+        clock, condition = self.clock, self.condition
         return {
             "instance": self.instance,
             "profile": self.settings.profile,
             "robot": self.settings.robot.name,
             "ready": self.ready,
+            "supervised": self.supervised,
             "behavior": self.behavior,
+            "reason": condition and condition.reason,
+            "since_s": condition and condition.since,
+            "began": condition and condition.began,
+            "fallen": self.fallen,
+            "way_out": self.way_out,
+            "bag": condition and condition.bag and str(condition.bag),
             "control_mode": self.control_mode,
             "clock": {
                 "mode": clock.mode if clock else self.settings.clock,
@@ -89,46 +123,149 @@ def require_up(instance: Instance) -> Supervisor:
     instance.settings()
     supervisor = Supervisor(instance)
     if not supervisor.answers():
-        orphans = len(leftovers.processes_of(instance))
-        raise ValorError(
-            f"instance {instance.name!r}: its supervisor does not answer, {orphans} of its processes are left; "
-            "`valorctl down` clears it away"
-        )
+        raise ValorError(unsupervised(instance, len(_found(instance))))
     return supervisor
 
 
-def look(instance: Instance) -> Status:
-    """Look at an instance: as long as it takes to hear every process that runs, at most ``SILENCE``.
+def require_running(instance: Instance) -> None:
+    """See that something of an instance runs: what is needed of it answers for itself, supervised or not.
 
     Raises:
-        ValorError: it is not up.
+        ValorError: it is not up, or has crashed as a whole.
     """
-    supervisor = require_up(instance)
-    infos = supervisor.processes()
-    # The table's order, the order of start.
-    names = [name for name in BY_NAME if name in infos]
-    running = {name for name, info in infos.items() if info.pid}
-    with Listener(instance, names) as listener:
-        reports = _Reports(listener.node)
-        deadline = time.monotonic() + SILENCE
-        while time.monotonic() < deadline:
-            reports.take()
-            if _all_heard(listener, infos) and reports.complete(running):
-                break
-            listener.listen(0.05)
-        infos = supervisor.processes()
-        restarts = supervisor.restarts()
-        now = time.monotonic()
-        services = [judge(infos[name], listener.words.get(name), now, restarts.get(name, 0)) for name in names]
-    return Status(
-        instance=instance.name,
-        settings=instance.settings(),
-        behavior=reports.motion_state.behavior if reports.motion_state else None,
-        control_mode=reports.control_mode.current_control_mode if reports.control_mode else None,
-        clock=reports.clock,
-        services=services,
-        recording=glance(instance, instance.settings().recording.bounds) if RECORDER in names else None,
+    instance.settings()
+    if not Supervisor(instance).answers() and not _found(instance):
+        raise ValorError(unsupervised(instance, 0))
+
+
+def unsupervised(instance: Instance, left: int) -> str:
+    """What to say of an instance whose supervisor is gone."""
+    option = Instance.option(instance.name)
+    if not left:
+        return f"instance {instance.name!r} has crashed: nothing of it runs; `valorctl up{option}` starts it anew"
+    return (
+        f"instance {instance.name!r}: its supervisor does not answer, nothing restarts its {left} processes that are "
+        f"left; `valorctl down{option}` clears it away"
     )
+
+
+def look(instance: Instance) -> Status:
+    """Look at an instance once.
+
+    Raises:
+        ValorError: it is not up, or has crashed as a whole.
+    """
+    with Watch(instance) as watch:
+        return watch.look()
+
+
+class Watch:
+    """Hears what an instance's processes say. A context manager.
+
+    All of it comes from latched topics, or at a high rate: whoever asks waits for nothing that comes once a second.
+    """
+
+    def __init__(self, instance: Instance) -> None:
+        """Begin to listen.
+
+        Raises:
+            ValorError: it is not up, or has crashed as a whole.
+        """
+        self._instance = instance
+        self._settings = instance.settings()
+        self._supervisor = Supervisor(instance)
+        infos, _ = self._processes()
+        # The table's order, the order of start.
+        self._names = [name for name in BY_NAME if name in infos]
+        self._listener = Listener(instance, self._names)
+        self._reports = _Reports(self._listener.node)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._listener.node.close()
+
+    def look(self) -> Status:
+        """What there is: waits for what is known to come, at most ``SILENCE``.
+
+        Raises:
+            ValorError: nothing of it runs any more.
+        """
+        listener, reports = self._listener, self._reports
+        reports.forget()
+        infos, supervised = self._processes()
+        listener.listen(0.0)  # what has come since the last look
+        deadline = time.monotonic() + SILENCE
+        while True:
+            reports.take()
+            words = listener.words
+            mute = {n for n, info in infos.items() if info.pid and (n not in words or words[n].pid != info.pid)}
+            ready = {n for n, info in infos.items() if info.pid and n not in mute and words[n].state == "ready"}
+            awaited = {name for name in mute if listener.may_speak(name)} | reports.awaited(ready)
+            if not awaited or time.monotonic() > deadline:
+                break
+            listener.listen(0.05, reports.subscribers)
+        now = time.monotonic()
+        restarts = self._supervisor.restarts()
+        state, mode, clock = reports.motion_state, reports.control_mode, reports.clock
+        seen = Status(
+            instance=self._instance.name,
+            settings=self._settings,
+            behavior=state.behavior if state else None,
+            control_mode=mode.current_control_mode if mode else None,
+            clock=clock,
+            services=[
+                judge(infos[name], listener.words.get(name), now, restarts.get(name, 0))
+                for name in self._names
+                if name in infos
+            ],
+            recording=glance(self._instance, self._settings.recording.bounds) if RECORDER in self._names else None,
+            supervised=supervised,
+        )
+        return replace(seen, condition=self._condition(reports.change)) if state else seen
+
+    def _condition(self, change: bifrost.Received[MotionState] | None) -> Condition | None:
+        if change is None:
+            return None
+        began = time.time() - (time.monotonic_ns() - change.stamp) * 1e-9
+        bag = bag_of(self._instance, self._settings, began)
+        return Condition(change.message.reason, change.message.time * 1e-9, began, bag)
+
+    def _processes(self) -> tuple[dict[str, ProcessInfo], bool]:
+        """Those of the instance, and whether supervisord told of them; else they are found by their environment."""
+        try:
+            return self._supervisor.processes(), True
+        except SupervisorError:
+            found = _found(self._instance)
+            if not found:
+                raise ValorError(unsupervised(self._instance, 0)) from None
+            return found, False
+
+
+def _found(instance: Instance) -> dict[str, ProcessInfo]:
+    """The processes of an instance that run, without asking its supervisor."""
+    from valor.valorctl import leftovers  # psutil and a walk over all processes
+
+    by_module = {process.module: name for name, process in BY_NAME.items()}
+    found = {}
+    for process in leftovers.supervised_processes(instance):
+        name = by_module.get(process.command.rpartition(" ")[2])
+        if name:
+            uptime = time.time() - process.process.create_time()
+            found[name] = ProcessInfo(name, ProcessState.RUNNING, process.process.pid, uptime, 0, "")
+    return found
+
+
+def bag_of(instance: Instance, settings: Settings, moment: float) -> Path | None:
+    """The bag that holds a moment [wall clock, s]: the first that was written after it, if one was."""
+    bag = settings.bag
+    if bag is None:
+        bags = instance.bags.glob("*/*.mcap")
+    else:
+        bags = bag.parent.glob(f"{bag.stem}*.mcap") if bag.suffix else bag.glob("**/*.mcap")
+    written = sorted((path.stat().st_mtime, path) for path in bags)
+    return next((path for changed, path in written if changed >= moment), None)
 
 
 class _Reports:
@@ -138,9 +275,29 @@ class _Reports:
         self._states = node.subscriber(MOTION_STATE.name, MotionState)
         self._modes = node.subscriber(CONTROL_MODE.name, ControlModeReport)
         self._clocks = node.subscriber(CLOCK.name, ClockStatus)
+        self._changes = node.subscriber(BEHAVIOR_CHANGE.name, MotionState)
+        self.change: bifrost.Received[MotionState] | None = None  # said once, and true until another comes
         self.motion_state: MotionState | None = None
         self.control_mode: ControlModeReport | None = None
         self.clock: ClockStatus | None = None
+
+    @property
+    def subscribers(self) -> tuple[bifrost.Subscriber[Any], ...]:
+        """To wait for those of which nothing has come."""
+        return tuple(subscriber for _, subscriber, heard in self._heard if heard is None)
+
+    @property
+    def _heard(self) -> tuple[tuple[Topic, bifrost.Subscriber[Any], object], ...]:
+        return (
+            (MOTION_STATE, self._states, self.motion_state),
+            (BEHAVIOR_CHANGE, self._changes, self.change),
+            (CONTROL_MODE, self._modes, self.control_mode),
+            (CLOCK, self._clocks, self.clock),
+        )
+
+    def forget(self) -> None:
+        """What was reported before is not what is reported now."""
+        self.motion_state = self.control_mode = self.clock = None
 
     def take(self) -> None:
         """Take in what has come."""
@@ -150,18 +307,8 @@ class _Reports:
             self.control_mode = mode.message
         if clock := self._clocks.latest():
             self.clock = clock.message
+        self.change = self._changes.latest() or self.change
 
-    def complete(self, running: set[str]) -> bool:
-        """Whether all that the running processes report has come."""
-        return (
-            (self.motion_state is not None or MOTION_STATE.publisher not in running)
-            and (self.control_mode is not None or CONTROL_MODE.publisher not in running)
-            and (self.clock is not None or CLOCK.publisher not in running)
-        )
-
-
-def _all_heard(listener: Listener, infos: dict[str, ProcessInfo]) -> bool:
-    """Whether every process that runs has said something."""
-    return all(
-        name in listener.words and listener.words[name].pid == info.pid for name, info in infos.items() if info.pid
-    )
+    def awaited(self, ready: set[str]) -> set[str]:
+        """Those of the processes that are ready whose report has not come."""
+        return {topic.publisher for topic, _, heard in self._heard if heard is None and topic.publisher in ready}

@@ -61,7 +61,32 @@ class Outcome:
         )
 
 
-def step_to(instance: Instance, goal: Middle, *, relative: bool, check: Callable[[], None]) -> Outcome:
+def intention(steps: Sequence[PlanStep], goal: Middle, *, relative: bool) -> str:
+    """What is about to be done, in one line.
+
+    Args:
+        steps: that lead there.
+        goal: x, y [m], yaw [rad] of the middle of the feet as seen from where it is.
+        relative: whether it was asked for so, and not in odom.
+    """
+    x, y, yaw = goal
+    ways = ((x, "ahead", "back"), (y, "to the left", "to the right"))
+    parts = [f"{abs(way):.2f} m {more if way > 0.0 else less}" for way, more, less in ways if abs(way) > 0.005]
+    turn = math.degrees(math.remainder(yaw, math.tau))
+    if abs(turn) > 0.5:
+        parts.append(f"{abs(turn):.0f}° {'left' if turn > 0.0 else 'right'}")
+    seen = "from where the robot stands" if relative else "from here to the place in odom; --relative is from here"
+    return f"{len(steps)} steps: {', '.join(parts) or 'on the spot'} ({seen})"
+
+
+def step_to(
+    instance: Instance,
+    goal: Middle,
+    *,
+    relative: bool,
+    check: Callable[[], None],
+    tell: Callable[[str], None] = lambda text: None,
+) -> Outcome:
     """Step until the middle of the feet is at a goal.
 
     Args:
@@ -69,6 +94,7 @@ def step_to(instance: Instance, goal: Middle, *, relative: bool, check: Callable
         goal: x, y [m], yaw [rad]; in odom, or as seen from where the middle of the feet is.
         relative: whether it is the latter.
         check: raises when the user wants to stop; the plan is then canceled.
+        tell: is told what is about to be done.
 
     Raises:
         ValorError: too far, mode refused, or nobody answers.
@@ -86,6 +112,7 @@ def step_to(instance: Instance, goal: Middle, *, relative: bool, check: Callable
         made = plan_to(there, robot.tables.footsteps, robot.tables.walking)
         if not made:
             raise ValorError("the feet are there already")
+        tell(intention(made, there, relative=relative))
         return made
 
     return _run(instance, steps, START, check)

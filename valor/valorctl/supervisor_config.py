@@ -16,15 +16,19 @@ MARKER = "VALOR_SUPERVISED"
 PYTHON = "VALOR_PYTHON"
 FOLDER = "VALOR_FOLDER"
 
+DESCRIPTORS = 256
+"""File descriptors that a process may need; the recorder, which holds most of them, had 77 beside a standing robot."""
+
 _SOCKET_PATH_LIMIT = 107  # sun_path is 108 bytes with the final NUL
 # supervisord binds a name with its pid appended, then links it to the one asked for.
 _SOCKET_SUFFIX = len(".4194304")
 
 # Paths come in through the environment: in the file itself `;`, `#` and `%` would need care.
-_HEADER = """\
+_HEADER = f"""\
 ; Written by `valorctl up` from valor/common/processes.py.
 [supervisord]
 nodaemon=true
+minfds={DESCRIPTORS}
 logfile=%(ENV_VALOR_FOLDER)s/logs/supervisord.log
 logfile_maxbytes=0
 pidfile=%(ENV_VALOR_FOLDER)s/supervisord.pid

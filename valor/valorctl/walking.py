@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 import bifrost
 from valor.analysis.track_builder import TrackBuilder
-from valor.analysis.walk import Figures, Timeliness
+from valor.analysis.walk import Figures, Timeliness, Track
 from valor.analysis.walk_report import WalkReport
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
@@ -28,6 +28,7 @@ REST_SPEED = 0.02  # of a pelvis at rest [m/s]
 REST_DURATION = 0.5  # for which it must be [robot time, s]
 LONGEST_STOP = 20.0  # [robot time, s]
 SILENCE = 5.0  # of the Motion Manager, after which it is given up [s]
+BEGUN_ANEW = "robot time began anew: the Comms Manager was restarted"
 OTHERS = 1.0  # to hear whether somebody else leads a robot that walks already [s]
 _SLOWEST = 0.3  # of the speed asked for: a distance must be done by then
 _TO_BEGIN = 10.0  # and so long more [robot time, s]
@@ -102,6 +103,7 @@ class Walk:
     dcm_error: float  # mean distance of the DCM from its reference [m]
     pause: float  # longest between two velocities, in which the robot begins to stop after 0.5 s [robot time, s]
     report: WalkReport | None  # None: nothing was measured while it lasted
+    track: Track | None = None  # likewise
 
     def describe(self) -> str:
         """One line."""
@@ -193,7 +195,8 @@ def _walk(
     walked = track.track()
     if walked is None or walked.time.size < 2:
         return run.result(None)
-    return run.result(WalkReport(Figures.of(walked), Timeliness.heard(clocks, walked, robot)))
+    result = run.result(WalkReport(Figures.of(walked), Timeliness.heard(clocks, walked, robot)))
+    return replace(result, track=walked)
 
 
 class _Run:
@@ -214,12 +217,16 @@ class _Run:
         self._moved = began.time  # when the pelvis moved last
         self._stopped = 0.0  # when it was no more asked to walk
         self._commanded = self._pause = 0.0  # when it was asked last, and the longest time between [robot time, s]
+        self._lost = ""  # why the walk cannot be followed any more
         self.asking, self.over = True, False
         self.passed = self.way = 0.0
 
     def consider(self, states: Sequence[MotionState]) -> Sequence[MotionState]:
         """Take the robot's next states in; returns those until the walk was over."""
         for place, state in enumerate(states):
+            if state.time < self._state.time:
+                self.over, self._lost = True, BEGUN_ANEW
+                return states[:place]
             self._consider(state)
             if self.over:
                 return states[: place + 1]
@@ -258,7 +265,7 @@ class _Run:
             turned=self._line.turned(state),
             duration=self.passed,
             fell=state.behavior == "fall",
-            reason="" if state.behavior in MODES else f"{state.behavior}: {state.reason}",
+            reason=self._lost or ("" if state.behavior in MODES else f"{state.behavior}: {state.reason}"),
             dcm_error=float(np.mean(self._errors)),
             pause=self._pause,
             report=report,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.valorctl.console import complain, progress, rich_console, say, say_json
+from valor.valorctl.console import bar, complain, progress, rich_console, say, say_json
 from valor.valorctl.interruption import Interruption
 from valor.valorctl.verbs import recordings
 
@@ -88,7 +89,7 @@ def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False)
     from valor.valorctl import bag_snap, status
 
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     reply = bag_snap.snap(instance)
     if json:
         say_json({"file": reply.path, "messages": reply.messages, "seconds": reply.seconds})
@@ -125,11 +126,19 @@ def csv(
     from valor.analysis.csv_export import export
 
     folder = out or bag_path.with_name(f"{bag_path.stem}_csv")
-    with progress() as shown, Interruption() as interruption:
+    total = 0 if json else _messages(bag_path)
+    with (
+        progress() as shown,
+        bar("writing", total, "messages", digits=0) if total else nullcontext() as fill,
+        Interruption() as interruption,
+    ):
 
         def tell(messages: int) -> None:
             interruption.check()
-            shown.waiting(f"{messages} messages")
+            if fill:
+                fill(messages)
+            else:
+                shown.waiting(f"{messages} messages")
 
         made = export(bag_path, folder, topic or (), tell, as_parquet=parquet)
     if json:
@@ -177,6 +186,16 @@ def play(
     say(f"played {played.messages} messages")
     _fail_if_nothing(bag_path, topic, played.messages + len(played.skipped))
     _fail_if_damaged(bag_path, played.damage, played.messages)
+
+
+def _messages(bag_path: Path) -> int:
+    """How many a bag holds, if its index says so."""
+    from valor.valorctl.bag_summary import summarize
+
+    try:
+        return summarize(bag_path).messages
+    except ValorError:  # of another kind, or damaged
+        return 0
 
 
 def _fail_if_nothing(bag_path: Path, topics: list[str] | None, found: int) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from valor.common.instance import Instance
-from valor.valorctl.console import rich_console, say_json
+from valor.valorctl.console import progress, rich_console, say_json
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -22,7 +22,8 @@ def doctor(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = Fals
     """Look at this computer and the instance for what is known to go wrong, and say what to do about it."""
     from valor.valorctl.checks import run_all
 
-    findings = run_all(Instance.from_environment())
+    with progress() as shown:
+        findings = run_all(Instance.from_environment(), shown.waiting)
     if json:
         say_json([asdict(finding) for finding in findings])
     else:

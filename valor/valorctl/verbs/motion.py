@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,6 +12,9 @@ from valor.common.instance import Instance
 from valor.valorctl import completion
 from valor.valorctl.console import progress, say, say_json, say_rows
 from valor.valorctl.interruption import Interruption
+
+if TYPE_CHECKING:
+    from valor.valorctl.walking import Walk
 
 DEFAULT_SECONDS = 5.0  # of a walk
 _NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
@@ -41,7 +45,7 @@ def mode(
     from valor.valorctl import control_mode, mode_names, status
 
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     if name is None:
         report = control_mode.report(instance)
         flags = control_mode.flag_names(report.status)
@@ -119,7 +123,7 @@ def _move(
     from valor.valorctl import arm_motion, status
 
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     with Interruption() as interruption:
         motion = arm_motion.move_limb(
             instance, side, limb, name, speed=speed, tolerance=tolerance, check=interruption.check
@@ -154,6 +158,7 @@ def walk(
     straight: Annotated[
         bool, typer.Option("--straight", help="Keep to the line and the heading it starts with.")
     ] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw the way, the balance, the feet's forces.")] = None,
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Walk at a velocity, stop, and say how far it went."""
@@ -163,7 +168,7 @@ def walk(
         seconds = DEFAULT_SECONDS
     order = walking.Order(vx, vy, wz, seconds, distance, straight)
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     with progress() as shown, Interruption() as interruption:
         result = walking.walk(
             instance,
@@ -187,10 +192,28 @@ def walk(
         )
     elif result.report:
         say_rows(result.report.rows())
+    if plot is not None:
+        _draw(result, plot)
     if result.reason:
         raise ValorError(f"walked {result.describe()}, then {result.reason}")
     if not json:
         say(f"walked {result.describe()}")
+
+
+def _draw(walked: Walk, file: Path) -> None:
+    """Write the picture of a walk.
+
+    Raises:
+        ValorError: nothing was measured, or it cannot be written.
+    """
+    from valor.analysis import track_plot
+
+    if walked.track is None:
+        raise ValorError(f"{file}: nothing was measured to draw")
+    try:
+        track_plot.draw(walked.track, file, walked.describe())
+    except (OSError, ValueError) as error:
+        raise ValorError(f"{file}: the picture cannot be written: {error}") from None
 
 
 def push(
@@ -203,7 +226,7 @@ def push(
     from valor.valorctl import status
 
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     reply = pushing.push(instance, (x, y, z))
     say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
 
@@ -213,7 +236,7 @@ def get_up(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = Fals
     from valor.valorctl import getting_up, status
 
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     with progress() as shown, Interruption() as interruption:
         duration = getting_up.get_up(instance, interruption.check, shown.waiting if json else shown.stage)
     if json:

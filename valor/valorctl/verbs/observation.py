@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl import completion
 from valor.valorctl.console import rich_console, say, say_json
 
 if TYPE_CHECKING:
-    from valor.valorctl.status import Status
+    from valor.valorctl.status import Status, Watch
 
-_COLOURS = {"ready": "green", "starting": "yellow", "degraded": "yellow", "stopped": "dim", "failed": "bold red"}
+WATCH_PERIOD = 1.0  # [s]
 
 
 def register(app: typer.Typer) -> None:
@@ -23,69 +26,80 @@ def register(app: typer.Typer) -> None:
     app.command()(env)
 
 
-def status(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
-    """Show how every process fares, what the robot does, and how time runs."""
-    from valor.valorctl.status import look
+def status(
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Look again every second, until interrupted.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="As JSON; with --watch an object a line.")] = False,
+) -> None:
+    """Show how every process fares, what the robot does and why, and how time runs."""
+    from valor.valorctl import status as looking
 
-    seen = look(Instance.from_environment())
+    instance = Instance.from_environment()
+    if watch:
+        _watch(looking.Watch(instance), json)
+        return
+    seen = looking.look(instance)
     if json:
         say_json(seen.as_json())
     else:
-        _show(seen)
+        from valor.valorctl.status_view import view
+
+        rich_console().print(view(seen))
+    _fail_if_unsupervised(instance, seen)
 
 
-def _show(status: Status) -> None:
-    from rich.table import Table
+def _watch(watch: Watch, json: bool) -> None:
+    from valor.valorctl.interruption import until_interrupted
+    from valor.valorctl.status_view import show
 
-    settings, clock = status.settings, status.clock
-    time = clock.mode if clock else settings.clock
-    if clock:
-        time += f", {clock.real_time_factor:.2f} × real time in the last second"
-        if status.factor_since_start is not None:
-            time += f", {status.factor_since_start:.3f} since the start ({clock.slip:.2f} s lost)"
-    console = rich_console()
-    console.print(
-        f"[bold]{status.instance}[/]: {settings.robot.name}, profile {settings.profile}, {time}\n"
-        f"control mode [bold]{status.control_mode or '?'}[/], behavior [bold]{status.behavior or '?'}[/]"
-    )
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    table.add_column("service")
-    table.add_column("state")
-    for name in ("pid", "CPU %", "MiB", "restarts"):
-        table.add_column(name, justify="right")
-    table.add_column("")
-    for service in status.services:
-        table.add_row(
-            service.name,
-            f"[{_COLOURS[service.state]}]{service.state}[/]",
-            str(service.pid or "–"),
-            "–" if service.cpu_percent is None else f"{service.cpu_percent:.0f}",
-            "–" if service.memory_mib is None else f"{service.memory_mib:.0f}",
-            str(service.restarts),
-            service.detail,
-        )
-    console.print(table)
-    if status.recording is not None:
-        say(status.recording.line())
+    with watch, until_interrupted():
+        if json:
+            while True:
+                say_json(watch.look().as_json(), one_line=True)
+                time.sleep(WATCH_PERIOD)
+        show(watch.look, WATCH_PERIOD)
+
+
+def _fail_if_unsupervised(instance: Instance, seen: Status) -> None:
+    from valor.valorctl.status import unsupervised
+
+    if not seen.supervised:
+        raise ValorError(unsupervised(instance, len(seen.services)))
 
 
 def logs(
     service: Annotated[
         str | None,
-        typer.Argument(help="One of those that `status` lists; all unless given.", autocompletion=completion.services),
+        typer.Argument(
+            help="One of those that `status` lists, or supervisord; all unless given.",
+            autocompletion=completion.services,
+        ),
     ] = None,
-    lines: Annotated[int, typer.Option("--lines", "-n", min=0, help="How many of the last lines.")] = 20,
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what comes.")] = False,
+    lines: Annotated[
+        int | None, typer.Option("--lines", "-n", min=0, help="How many of the last lines; 20 unless --since is given.")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option(metavar="TIME", help="What is not older: 30s, 5min, 2h, 14:05, '2026-01-31 14:05'.")
+    ] = None,
+    level: Annotated[
+        str,
+        typer.Option(help="What is as grave: debug, info, warning, error, critical.", autocompletion=completion.levels),
+    ] = "",
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what comes, until interrupted.")] = False,
 ) -> None:
-    """Show what the processes print; also after `down`."""
-    from valor.valorctl.log_reader import LogReader
+    """Show what the processes print, in the order of time; also after `down`."""
+    from valor.valorctl.interruption import until_interrupted
+    from valor.valorctl.log_reader import LogReader, moment
+    from valor.valorctl.log_view import LogView
 
-    with LogReader(Instance.from_environment(), service) as reader:
-        for line in reader.last(lines):
-            say(line)
-        while follow:
-            for line in reader.wait():
-                say(line)
+    begin = moment(since, datetime.now()) if since is not None else None
+    with LogReader(Instance.from_environment(), service, begin, level.lower()) as reader:
+        view = LogView(named=service is None)
+        found = reader.take()
+        count = lines if lines is not None else len(found) if since is not None else 20
+        view.show(found[len(found) - min(count, len(found)) :])
+        with until_interrupted():
+            while follow:
+                view.show(reader.wait())
 
 
 def env() -> None:

@@ -41,13 +41,14 @@ def step(
         raise ValorError("expected a plan, or --to X Y YAW")
     file = step_plan.load(plan_file(plan)) if plan is not None else None
     instance = Instance.from_environment()
-    status.require_up(instance)
+    status.require_running(instance)
     with Interruption() as interruption:
         if file is not None:
             outcome = stepping.step_plan(instance, file.steps, file.frame, interruption.check)
         else:
             assert to is not None
-            outcome = stepping.step_to(instance, to, relative=relative, check=interruption.check)
+            tell = (lambda text: None) if json else say
+            outcome = stepping.step_to(instance, to, relative=relative, check=interruption.check, tell=tell)
     if plot is not None:
         feet = RobotDescription.load(instance.settings().robot).tables.feet
         step_picture.draw(plot, feet, outcome.start, outcome.steps, outcome.end)
