@@ -88,6 +88,14 @@ def test_who_never_walked_or_never_moved_has_no_walk(behavior: str, speed: float
         walked([behavior] * 5, [speed] * 5).walk()
 
 
+def test_what_is_counted_since_start_is_counted_for_the_walk_alone() -> None:
+    states, measured = walk()
+    states[0] = altered(states[0], qp_failures=3, torque_saturations=40)
+    states[-1] = altered(states[-1], qp_failures=20, torque_saturations=95)
+    figures = Figures.of(Track.heard(states, measured, ROBOT))
+    assert (figures.qp_failures, figures.saturations) == (17, 55)
+
+
 def test_a_walk_of_no_time_has_no_speed() -> None:
     states, measured = walk()
     figures = Figures.of(Track.heard(states, measured, ROBOT))
