@@ -69,12 +69,12 @@ def simulate(
             joint_velocity=data.qvel[model.dof].copy(), joint_effort=effort, imu_orientation=base[3:].copy(),
             imu_angular_velocity=np.zeros(3), imu_linear_acceleration=np.zeros(3), left_foot_wrench=np.zeros(6),
             right_foot_wrench=np.zeros(6), left_hand_wrench=np.zeros(6), right_hand_wrench=np.zeros(6),
-            battery_voltage=48.0,
+            battery_voltage=48.0, motor_behavior="stand",
         )  # fmt: skip
         yield MOTOR, Motor(
             time=time, sequence=k + 1, proprioceptor_sequence=k + 1, mode=np.ones(n, dtype=np.uint8),
             position=reference, velocity=zeros, effort=zeros, stiffness=robot.servo_stiffness,
-            damping=robot.servo_damping,
+            damping=robot.servo_damping, behavior="stand", writer=1,
         )  # fmt: skip
         com = data.subtree_com[0].copy()
         shift, turn = pelvis(now)

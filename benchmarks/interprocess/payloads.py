@@ -38,12 +38,13 @@ class Proprioceptor(bifrost.Message):
     left_hand_wrench: bifrost.Float64Array
     right_hand_wrench: bifrost.Float64Array
     battery_voltage: float
+    motor_behavior: str
 
 
 def proprioceptor() -> Proprioceptor:
     """One with numbers in it."""
     vectors = [np.random.default_rng(0).normal(size=n) for n in (*3 * (JOINTS,), 4, 3, 3, 6, 6, 6, 6)]
-    return Proprioceptor(1, 2, 3, *vectors, battery_voltage=48.0)
+    return Proprioceptor(1, 2, 3, *vectors, battery_voltage=48.0, motor_behavior="stand")
 
 
 # Name to size [B]; those without types send that many bytes.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections.abc import Callable
 
 import bifrost
 from valor.common.messages import JointMode, Motor
@@ -22,28 +23,38 @@ class Commands:
     """Takes Motor messages in, refuses unsound ones whole, and tells when Motor has fallen silent.
 
     A Motor says which Proprioceptor it answers. One that answers a state of another world (before a restart of this
-    process), a state older than that answered already, or one older than the time-out is not obeyed.
+    process), a state older than that answered already, or one older than the time-out is not obeyed, nor one of a
+    Motion Manager that began before the one obeyed last.
 
     Attributes:
         motor: the one in force; None before the first.
         admitted: how many were admitted, so that a user sees whether ``motor`` is new.
-        silent: the joints are to be held: Motor came, and then no more.
+        silent: Motor came, and then no more. The joints are to be held where they are, or left ``limp``.
+        limp: the last Motor asked for no force but damping: it goes on acting while Motor is silent.
         refused: how many were refused.
         waits_timed_out: how often ``wait`` gave up.
     """
 
-    def __init__(self, subscriber: bifrost.Subscriber[Motor], robot: RobotDescription) -> None:
+    def __init__(
+        self,
+        subscriber: bifrost.Subscriber[Motor],
+        robot: RobotDescription,
+        admitted: Callable[[str], None] = lambda behavior: None,
+    ) -> None:
+        """``admitted`` is told the behavior of every Motor that is admitted."""
         self._subscriber = subscriber
+        self._tell = admitted
         self._length = len(robot.joints)
         self._max_age = round(COMMAND_TIMEOUT * robot.tables.control_rate)
         self._first = self._current = 0
         self._answered = 0
         self._time = self._admitted_at = 0
+        self._writer = 0
         self._misses = 0
         self._logged: dict[str, float] = {}
         self.motor: Motor | None = None
         self.admitted = 0
-        self.silent = False
+        self.silent = self.limp = False
         self.refused = 0
         self.waits_timed_out = 0
 
@@ -126,8 +137,10 @@ class Commands:
         self.admitted += 1
         self._answered = motor.proprioceptor_sequence
         self._admitted_at = self._time
+        self._writer = motor.writer
+        self._tell(motor.behavior)
         if self.silent:
-            self.silent = False
+            self.silent = self.limp = False
             self._misses = 0
             _log.info("Motor from %s again; the joints obey it", origin)
 
@@ -136,6 +149,8 @@ class Commands:
         answers = motor.proprioceptor_sequence
         if not self._first <= answers <= self._current:
             return f"answers no state of this world: {answers}, expected {self._first} to {self._current}"
+        if motor.writer < self._writer:
+            return f"of an older Motion Manager: began at {motor.writer} ns, the one obeyed at {self._writer} ns"
         if answers < self._answered:
             return f"older than the one in force: answers {answers}, {self._answered} is answered"
         if self.motor is not None and self._current - answers > self._max_age:
@@ -159,4 +174,13 @@ class Commands:
     def _fall_silent(self, why: str) -> None:
         if not self.silent:
             self.silent = True
-            _log.warning("%s: the joints are held where they are", why)
+            self.limp = self.motor is not None and not drives(self.motor)
+            _log.warning("%s: the joints %s", why, "stay limp" if self.limp else "are held where they are")
+
+
+def drives(motor: Motor) -> bool:
+    """Whether a Motor can move a joint that is at rest: all but damping, and motors that are off."""
+    servo = motor.mode == JointMode.POSITION
+    spring = (motor.mode == JointMode.IMPEDANCE) & (motor.stiffness > 0.0)
+    force = (motor.mode != JointMode.OFF) & (motor.effort != 0.0)
+    return bool((servo | spring | force).any())

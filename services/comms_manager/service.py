@@ -12,6 +12,7 @@ from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
+from valor.comms_manager.latch import BehaviorLatch
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
 
@@ -25,7 +26,8 @@ class CommsManager:
         self._trace = context.trace
         node = context.node
         self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
-        self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot)
+        self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
+        self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot, self._latch.update)
         self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
         self._backend = make_backend(context)
         # Microseconds since the epoch: greater than every sequence of an earlier run, so that a Motor which answers
@@ -59,6 +61,7 @@ class CommsManager:
     def close(self) -> None:
         """Give back the devices."""
         self._backend.close()
+        self._latch.close()
 
     def _stand_by(self) -> None:
         """Publish one state until a Motor answers it: nothing moves before the controllers are up."""
@@ -76,7 +79,9 @@ class CommsManager:
 
     def _measure(self) -> Proprioceptor:
         self._sequence += 1
-        return self._backend.measure(self._sequence)
+        state = self._backend.measure(self._sequence)
+        state.motor_behavior = self._latch.behavior
+        return state
 
     def _publish(self, state: Proprioceptor) -> None:
         self._commands.measured(state.sequence, state.time)

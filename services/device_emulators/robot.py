@@ -46,7 +46,8 @@ class SimulatedRobot:
         self.plant = Plant(description, settings.world, settings.actuators, settings.seed)
         self._sensors = Sensors(description, self.plant, profile.noise, settings.seed)
         n = len(description.joints)
-        self._motor = Motor(0, 0, 0, np.zeros(n, dtype=np.uint8), *(np.zeros(n) for _ in range(5)))
+        zero = np.zeros(n)
+        self._motor = Motor(0, 0, 0, np.zeros(n, dtype=np.uint8), zero, zero, zero, zero, zero, "", 0)
         self._changed = False
         self._powered = np.zeros(n, dtype=bool)
         carrying = [

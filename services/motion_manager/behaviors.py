@@ -137,6 +137,23 @@ BALANCING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK, _L.SOF
 RECOVERING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK})
 """Where a robot at rest steps by itself when its feet cannot hold it. In Soft Stop nothing begins any more."""
 
+RESUMED: Mapping[Behavior, Behavior] = {
+    _B.IDLE: _B.IDLE,
+    _B.FALL: _B.FALL,
+    _B.GET_UP: _B.FALL,
+} | {behavior: _B.FREEZE for behavior in _B if behavior not in (_B.IDLE, _B.FALL, _B.GET_UP)}
+"""Where a Motion Manager begins that takes over a robot left behind in a behavior: at rest, until a command comes.
+
+A robot that was balancing and is not upright on both feet is let go instead: Fall.
+"""
+
+WAY_BACK: Mapping[Behavior, tuple[Behavior, ...]] = {
+    _B.IDLE: (),
+    _B.FREEZE: (_B.FREEZE,),
+    _B.FALL: (_B.FREEZE, _B.FALL),
+}
+"""From Idle, where the process begins, to a behavior of ``RESUMED``, by edges of the table and within one period."""
+
 JOINT_ACCESS: Mapping[type[StrEnum], tuple[str, ...]] = {
     Locomotion: ("left_leg", "right_leg"),
     Manipulation: ("torso", "left_arm", "right_arm", "left_hand", "right_hand"),

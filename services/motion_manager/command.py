@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from time import monotonic_ns
 
 import casadi as ca
 import numpy as np
@@ -52,6 +53,7 @@ class MotorCommand:
         self._led: Joints = self._compliant.copy()  # by the Whole-Body Controller
         self._led[moved] = True
         self._effort_limit = robot.effort_limit
+        self._began = monotonic_ns()
         stiffness, damping, nothing = robot.servo_stiffness, robot.servo_damping, np.zeros(n)
         servo, force, off = JointMode.POSITION, JointMode.FORCE, JointMode.OFF
         self._servo = Drive(self._modes(JointMode.IMPEDANCE, JointMode.IMPEDANCE, servo), stiffness, damping)
@@ -168,8 +170,8 @@ class MotorCommand:
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
         return ca.vertcat(position, velocity, limited), ca.vertcat(squares, beyond)
 
-    def message(self, time: int, sequence: int, proprioceptor_sequence: int) -> Motor:
-        """The command as a Motor."""
+    def message(self, time: int, sequence: int, proprioceptor_sequence: int, behavior: str) -> Motor:
+        """The command as a Motor, made in a behavior."""
         return Motor(
             time=time,
             sequence=sequence,
@@ -180,4 +182,6 @@ class MotorCommand:
             effort=self.effort,
             stiffness=self.drive.stiffness,
             damping=self.drive.damping,
+            behavior=behavior,
+            writer=self._began,
         )

@@ -17,7 +17,16 @@ from valor.common.model import Model
 from valor.common.robot import FloatVector, RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.behaviors import BALANCING, RECOVERING, Behavior, Locomotion, Manipulation
+from valor.motion_manager.behaviors import (
+    BALANCING,
+    INTERNAL_STATES,
+    RECOVERING,
+    RESUMED,
+    WAY_BACK,
+    Behavior,
+    Locomotion,
+    Manipulation,
+)
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.device_reactions import DeviceReactions
 from valor.motion_manager.get_up import GetUp
@@ -169,7 +178,7 @@ class MotionManager:
                 self._fall("errors of the Motion Manager, see its log")
         self._sequence += 1
         self._proprioceptor_sequence = proprioceptor.sequence
-        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence)
+        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, self.fsm.behavior)
 
     def conditions(self) -> Conditions:
         """What the robot's condition has against transitions."""
@@ -217,7 +226,7 @@ class MotionManager:
             self._take_over(gap, state)
         self._watch(state)
         if self.fsm.behavior is Behavior.IDLE and not self.in_control:
-            self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
+            self._resume(proprioceptor.motor_behavior, state)
         self.device_reactions.update()
         now = self._time * 1e-9
         if self._locomotion is self.fsm.locomotion is Locomotion.GET_UP:
@@ -255,9 +264,13 @@ class MotionManager:
         """The robot has lived without us for a while; its devices have held its joints.
 
         One that stood, and still stands on both feet, goes on being held: to let go would fell it. One that was
-        stepping, or that does not stand any more, is let go, and so is one that is not known.
+        stepping, or that does not stand any more, is let go, and so is one that is not known. One that was being
+        brought to its posture stays where it is: nothing moves because something restarted.
         """
         _log.warning("%s", gap.reason)
+        if self.fsm.behavior is Behavior.STAND_PREP:
+            self.fsm.go(Behavior.FREEZE, f"{gap.reason}; what was on its way to the posture is held")
+            return
         lost = "" if gap.same_world else "it is not known"
         lost = lost or ("it was stepping" if self._controller.stepping else "")
         lost = lost or ("it was getting up" if self.fsm.locomotion is Locomotion.GET_UP else "")
@@ -269,6 +282,23 @@ class MotionManager:
             if not self.fsm.may_go(Behavior.FREEZE):  # from Step and Walk by way of Soft Stop
                 self.fsm.go(Behavior.SOFT_STOP, reason)
             self.fsm.go(Behavior.FREEZE, reason)
+
+    def _resume(self, before: str, state: RobotState) -> None:
+        """The first robot of this process: new, or left behind by a Motion Manager that ended in a behavior.
+
+        Only a robot that nobody has led yet moves by itself.
+        """
+        if not before:
+            self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
+            return
+        found = next((behavior for behavior in Behavior if behavior == before), Behavior.FREEZE)
+        reason = f"the Motion Manager began anew; before, the robot was in {before}"
+        after = RESUMED[found]
+        if INTERNAL_STATES[found][0] in BALANCING and (lost := self._not_upright(state) or self._not_loaded(state)):
+            after, reason = Behavior.FALL, f"{reason}; {lost}"
+        for behavior in WAY_BACK[after]:
+            self.fsm.go(behavior, reason)
+        self.fsm.remark(reason)
 
     def _watch(self, state: RobotState) -> None:
         """Fall, when balance is lost."""

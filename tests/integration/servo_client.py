@@ -29,6 +29,7 @@ class ServoClient:
         self.proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
         self._robot = robot
         self._keep = keep
+        self._began = time.monotonic_ns()
         self.states: list[Proprioceptor] = []
         self.sequence = 0
 
@@ -46,6 +47,8 @@ class ServoClient:
             effort=np.zeros(n),
             stiffness=np.zeros(n),
             damping=np.zeros(n),
+            behavior="stand_prep",
+            writer=self._began,
         )
 
     def publish(self, motor: Motor) -> None:

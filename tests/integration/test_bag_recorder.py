@@ -77,7 +77,7 @@ def ros(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[
 def motor(sequence: int) -> Motor:
     """A message that compresses badly, as real ones do."""
     values = np.random.default_rng(sequence).normal(size=(5, JOINTS))
-    return Motor(7, sequence, 3, np.full(JOINTS, 2, np.uint8), *values)
+    return Motor(7, sequence, 3, np.full(JOINTS, 2, np.uint8), *values, "stand", 1)
 
 
 def bags(instance: RunningInstance) -> list[Path]:

@@ -234,6 +234,7 @@ UNSOUND = {
     "negative gain": spoil("damping", -1.0),
     "answers no state of this world": spoil("proprioceptor_sequence", 1),
     "answers no state of this world: the future": spoil("proprioceptor_sequence", 2**62),
+    "of an older Motion Manager": spoil("writer", 1),
 }
 
 

@@ -48,6 +48,9 @@ ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = ROBOT.tables.groups["right_arm"]
 ARM_PLACES = ROBOT.group_indices("right_arm")
 FORWARD = np.array([ROBOT.tables.arm_presets["forward"]["right"][name] for name in ARM])
+LEGS = {*ROBOT.tables.groups["left_leg"], *ROBOT.tables.groups["right_leg"]}
+HELD = 0.05  # of a joint that is held while nobody commands it: it sags a little [rad]
+DAMPING_ALONE = 15.0  # of limp joints, which sink slowly, and the sensors' noise [N·m]
 STANDING = 0.7  # the pelvis of a standing robot is higher [m]
 
 
@@ -197,29 +200,76 @@ def test_a_killed_comms_manager_is_a_fall_with_its_reason(instance: RunningInsta
     assert not system.request("stand").accepted
 
 
-def test_a_comms_manager_killed_in_stand_prep_begins_stand_prep_anew(instance: RunningInstance) -> None:
+def test_a_comms_manager_killed_in_stand_prep_moves_nothing_until_told_to(instance: RunningInstance) -> None:
     system = MotionSystem(instance)
     system.pass_time(0.5)
     instance.kill("comms_manager")
     wait_until(lambda: "silent" in system.request("get_up").reason, 20.0, "requests answered: no robot")
     instance.start("comms_manager")
+    assert "another world" in system.wait_behavior(Behavior.FREEZE).reason
+    system.go(Behavior.STAND_PREP)
     system.stand()
     system.pass_time(0.5)
     assert system.height > STANDING
 
 
-def test_a_killed_motion_manager_finds_the_robot_standing_and_stands_it_again(instance: RunningInstance) -> None:
+def killed_and_back(system: MotionSystem) -> list[Proprioceptor]:
+    """Kill the Motion Manager and start it anew; what was measured from just before until it has the robot again."""
+    measured = system.instance.node("witness").subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=20_000)
+    seen = [wait_until(measured.latest, 20.0, "a Proprioceptor").message]
+    system.instance.kill("motion_manager")
+    system.instance.start("motion_manager", wait=True)
+    system.pass_time(0.5)
+    return seen + [received.message for received in measured.drain()]
+
+
+def moved(measured: list[Proprioceptor]) -> float:
+    """How far any joint of the upper body has come from where it was at first [rad]."""
+    places = [place for place in range(len(ROBOT.joints)) if ROBOT.joints[place] not in LEGS]
+    return max(float(np.abs((each.joint_position - measured[0].joint_position)[places]).max()) for each in measured)
+
+
+def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(instance: RunningInstance) -> None:
+    """Frozen with an arm up, standing, and fallen: one robot, whose Motion Manager dies again and again."""
     instance.configure(real_time_factor=1.0)  # the robot lives on while the Motion Manager starts
     system = MotionSystem(instance)
     system.stand()
-    system.pass_time(1.0)
-    instance.kill("motion_manager")
-    instance.start("motion_manager", wait=True)
-    assert system.wait_behavior(Behavior.STAND_PREP).reason == "first Proprioceptor"
-    assert system.height > STANDING
+    system.go(Behavior.STAND_MANIPULATE)
+    up = dict(zip(ARM, FORWARD, strict=True))
+    system.lead(up, lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], FORWARD, atol=0.05)), "an arm up")
+    system.go(Behavior.FREEZE)
+    system.pass_time(1.0)  # the arm comes to rest
+    for _ in range(2):
+        assert moved(killed_and_back(system)) < HELD
+        assert "before, the robot was in freeze" in system.wait_behavior(Behavior.FREEZE).reason
+    system.go(Behavior.STAND_PREP)
     system.stand()
-    system.pass_time(1.0)
+    assert moved(killed_and_back(system)) < HELD
+    assert "before, the robot was in stand" in system.wait_behavior(Behavior.FREEZE).reason
     assert system.height > STANDING
+    system.go(Behavior.STAND_PREP)
+    system.stand()
+
+    system.push((0.0, 80.0, 0.0))
+    system.wait_behavior(Behavior.FALL)
+    system.pass_time(3.0)
+    limp = killed_and_back(system)
+    assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
+    assert system.height < 0.5
+    assert max(float(np.abs(each.joint_effort).max()) for each in limp) < DAMPING_ALONE
+    assert "stay limp" in instance.log("comms_manager")
+
+
+def test_both_managers_killed_the_robot_is_not_brought_to_its_feet(instance: RunningInstance) -> None:
+    """The simulated one begins in the air, as a robot that was lifted meanwhile: it is not known to stand."""
+    system = MotionSystem(instance)
+    system.stand()
+    instance.kill("motion_manager")
+    instance.kill("comms_manager")
+    instance.start("comms_manager")
+    instance.start("motion_manager", wait=True)
+    assert "before, the robot was in stand; the left foot carries" in system.wait_behavior(Behavior.FALL).reason
+    assert "stand_prep" not in system.behaviors()[-2:]
 
 
 def test_the_motion_system_runs_where_ros_cannot_be_imported(instance: RunningInstance, tmp_path: Path) -> None:

@@ -532,7 +532,7 @@ def test_a_dead_motion_manager_aborts_goals_by_name_and_its_return_is_followed(
     finally:
         system.start("motion_manager")
     wait_until(
-        lambda: manipulating.reports[-1].current_control_mode in ("stand_prep", "stand"),
+        lambda: manipulating.reports[-1].current_control_mode == "freeze",
         PATIENCE,
         "the mode of the restarted Motion Manager",
     )

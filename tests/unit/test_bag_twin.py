@@ -93,14 +93,14 @@ def test_layouts_do_not_pile_up() -> None:
     encoder = TwinEncoder(Motor)
     empty = np.zeros(0)
     for length in range(3 * TwinEncoder.LAYOUTS):
-        message = Motor(0, 0, 0, np.zeros(length, np.uint8), empty, empty, empty, empty, empty)
+        message = Motor(0, 0, 0, np.zeros(length, np.uint8), empty, empty, empty, empty, empty, "", 0)
         encoder.encode(Received(message, 0, 1, "node"), 0)
     assert len(encoder._pack) <= TwinEncoder.LAYOUTS
 
 
 def test_an_integer_beyond_64_signed_bits_is_refused() -> None:
     empty = np.zeros(0)
-    message = Motor(2**63, 0, 0, np.zeros(0, np.uint8), empty, empty, empty, empty, empty)
+    message = Motor(2**63, 0, 0, np.zeros(0, np.uint8), empty, empty, empty, empty, empty, "", 0)
     with pytest.raises(struct.error):
         TwinEncoder(Motor).encode(Received(message, 0, 1, "node"), 0)
 

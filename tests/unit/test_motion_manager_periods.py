@@ -49,6 +49,7 @@ class Robot:
             "imu_linear_acceleration": np.array([0.0, 0.0, 9.81]),
             "left_foot_wrench": foot, "right_foot_wrench": foot.copy(),
             "left_hand_wrench": np.zeros(6), "right_hand_wrench": np.zeros(6), "battery_voltage": 48.0,
+            "motor_behavior": "",
         }  # fmt: skip
         return Proprioceptor(**(values | changes))  # type: ignore[arg-type]
 

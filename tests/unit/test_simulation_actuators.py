@@ -32,7 +32,7 @@ def motor(mode: JointMode | npt.NDArray[np.uint8], sequence: int = 1, **fields: 
     names = ("position", "velocity", "effort", "stiffness", "damping")
     vectors = {name: np.broadcast_to(np.asarray(fields.get(name, 0.0), float), N).copy() for name in names}
     modes = np.broadcast_to(np.asarray(mode, np.uint8), N).copy()
-    return Motor(time=0, sequence=sequence, proprioceptor_sequence=1, mode=modes, **vectors)
+    return Motor(time=0, sequence=sequence, proprioceptor_sequence=1, mode=modes, behavior="stand", writer=1, **vectors)
 
 
 def effort(command: Motor, position: Vector, velocity: Vector, profile: ActuatorProfile = IDEAL) -> Vector:

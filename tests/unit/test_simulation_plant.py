@@ -36,7 +36,7 @@ def stand(robot: Plant) -> None:
     modes = np.full(N, JointMode.POSITION, dtype=np.uint8)
     robot.actuators.obey(
         Motor(time=0, sequence=1, proprioceptor_sequence=1, mode=modes, position=ROBOT.nominal_posture,
-              velocity=zero, effort=zero, stiffness=zero, damping=zero)
+              velocity=zero, effort=zero, stiffness=zero, damping=zero, behavior="stand_prep", writer=1)
     )  # fmt: skip
 
 
@@ -108,7 +108,7 @@ def test_the_hdt_arms_sag_and_the_sick_wrist_stays() -> None:
     weight[ROBOT.group_indices("right_arm")] = robot.data.qfrc_bias[robot.model.dof][ROBOT.group_indices("right_arm")]
     robot.actuators.obey(
         Motor(time=0, sequence=1, proprioceptor_sequence=1, mode=modes, position=target, velocity=zero,
-              effort=weight, **servo)
+              effort=weight, behavior="stand", writer=1, **servo)
     )  # fmt: skip
     robot.step(1500)
     moved = robot.joint_position - ROBOT.nominal_posture

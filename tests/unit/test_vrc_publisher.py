@@ -112,7 +112,7 @@ def test_every_number_stands_where_it_belongs_and_comes_at_its_rate() -> None:
     for cycle in range(CYCLES):
         stamp.sec, stamp.nanosec = cycle, 7 * cycle
         joints, wrenches = (some(N) for _ in range(3)), (some(6) for _ in range(4))
-        hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), some(3), some(3), *wrenches, 47.5)
+        hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), some(3), some(3), *wrenches, 47.5, "stand")
         hw.motion = motion = motion_state(
             heading=YAW,
             pelvis_position_in_odom=some(3),

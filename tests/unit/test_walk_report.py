@@ -50,7 +50,7 @@ def walk() -> tuple[list[MotionState], list[Proprioceptor]]:
         content: dict[str, Any] = dict.fromkeys(Proprioceptor.__struct_fields__, np.zeros(6))
         content |= {
             "time": time, "sequence": 1000 + k, "motor_sequence": k, "joint_position": joints,
-            "left_foot_wrench": wrench, "right_foot_wrench": wrench, "battery_voltage": 48.0,
+            "left_foot_wrench": wrench, "right_foot_wrench": wrench, "battery_voltage": 48.0, "motor_behavior": "walk",
         }  # fmt: skip
         measured.append(Proprioceptor(**content))
     return states, measured

@@ -111,6 +111,11 @@ class Instance:
         return self.folder / "ports"
 
     @property
+    def behavior_file(self) -> Path:
+        """What the robot was last told to be in; the Comms Manager's."""
+        return self.folder / "behavior.json"
+
+    @property
     def bags(self) -> Path:
         """Where bags go unless told otherwise."""
         return self.folder / "bags"

@@ -41,10 +41,14 @@ class Proprioceptor(Message):
     left_hand_wrench: Float64Array  # (6,) in hand
     right_hand_wrench: Float64Array  # (6,) in hand
     battery_voltage: float  # [V]
+    motor_behavior: str  # behavior of the newest Motor since the instance came up; empty: none yet
 
 
 class Motor(Message):
-    """One command for every motor. ``proprioceptor_sequence`` says which Proprioceptor it answers."""
+    """One command for every motor. ``proprioceptor_sequence`` says which Proprioceptor it answers.
+
+    A Motor's behavior outlives the Motion Manager that made it: the next one begins from there, at rest.
+    """
 
     time: int
     sequence: int
@@ -55,6 +59,8 @@ class Motor(Message):
     effort: Float64Array  # [N·m]
     stiffness: Float64Array  # [N·m/rad]
     damping: Float64Array  # [N·m·s/rad]
+    behavior: str  # of the Behavior FSM
+    writer: int  # when the Motion Manager that made it began, monotonic [ns]; that of an older one is not obeyed
 
 
 class ClockStatus(Message):

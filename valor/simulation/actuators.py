@@ -95,12 +95,22 @@ class Actuators:
             )
         )
 
-    def hold(self, position: FloatVector) -> None:
-        """Hold the joints at a (n,) position [rad] on their own servos."""
+    def hold(self, position: FloatVector, effort: FloatVector | None = None) -> None:
+        """Hold the joints at a (n,) position [rad] on their own servos, beside a (n,) effort [N·m] that goes on.
+
+        Without the effort that carried it, a joint sags until its servo carries as much.
+        """
         last = self._waiting[-1][1] if self._waiting else self._command
         zero = np.zeros_like(position)
         self._send(
-            JointCommand(last.sequence, position, zero, zero, self._robot.servo_stiffness, self._robot.servo_damping)
+            JointCommand(
+                last.sequence,
+                position,
+                zero,
+                zero if effort is None else effort * self._feed_forward,
+                self._robot.servo_stiffness,
+                self._robot.servo_damping,
+            )
         )
 
     def update(self, position: FloatVector, velocity: FloatVector) -> FloatVector:

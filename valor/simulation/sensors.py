@@ -90,6 +90,7 @@ class Sensors:
             left_hand_wrench=values[k + 18 : k + 24],
             right_hand_wrench=values[k + 24 : k + 30],
             battery_voltage=BATTERY_VOLTAGE,
+            motor_behavior="",
         )
 
     def _orientation(self, error: FloatVector) -> FloatVector:

@@ -89,7 +89,7 @@ class Hardware(Backend):
         self._pacer = Pacer(1.0, Wall())
         self._admitted = 0
         self._motor_sequence = 0
-        self._held: FloatVector | None = None
+        self._held: tuple[FloatVector, FloatVector] | None = None  # positions and efforts of joints that are held
         self._lost = False  # the leg controllers' clock is: a period is a period
         self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
         self._begin()
@@ -216,12 +216,16 @@ class Hardware(Backend):
         self._time += elapsed
 
     def _hand_out(self, commands: Commands) -> None:
-        if commands.silent:
+        if commands.silent and commands.limp and commands.motor is not None:
+            self._send(commands.motor)  # again and again: the motor controllers would hold a joint that hears nothing
+        elif commands.silent:
             if self._held is None:
-                self._held = self._position.copy()
-            held, zero = self._held, np.zeros(self._held.size)
+                # With the effort that carried them: without it the joints would sag until their servos carry as much.
+                self._held = self._position.copy(), np.nan_to_num(self._effort)
+            held, effort = self._held
+            zero = np.zeros(held.size)
             mode = np.full(held.size, JointMode.POSITION, dtype=np.uint8)
-            motor = Motor(0, self._motor_sequence, 0, mode, held, zero, zero, zero, zero)
+            motor = Motor(0, self._motor_sequence, 0, mode, held, zero, effort, zero, zero, behavior="", writer=0)
             self._send(motor)
         elif commands.admitted != self._admitted and commands.motor is not None:
             self._held = None
@@ -278,6 +282,7 @@ class Hardware(Backend):
             left_hand_wrench=wrenches["left_hand"],
             right_hand_wrench=wrenches["right_hand"],
             battery_voltage=self._voltage,
+            motor_behavior="",
         )
 
     def attend(self) -> None:

@@ -59,9 +59,10 @@ class Clock(ABC):
         """Hand the newest Motor to the actuators, or have them hold."""
         self._trace.mark(Stage.AWAIT_MOTOR)
         if commands.silent:
-            if not self._holding:
+            if not (self._holding or commands.limp):
                 self._holding = True
-                self._plant.actuators.hold(self._plant.joint_position)
+                actuators = self._plant.actuators
+                actuators.hold(self._plant.joint_position, actuators.effort.copy())
         elif commands.admitted != self._admitted and commands.motor is not None:
             self._holding = False
             self._plant.actuators.obey(commands.motor)

@@ -146,6 +146,8 @@ class ClosedLoop:
             effort=effort,
             stiffness=stiffness,
             damping=damping,
+            behavior="stand",
+            writer=1,
         )
         self.plant.actuators.obey(motor)
         self.plant.step(self._substeps)
