@@ -46,7 +46,7 @@ THREE = ("shoulder", "elbow", "wrist")
     ("numbers", "interface"), [(ErrorCode, FollowJointTrajectory.Result), (State, ExecuteStepPlan.Feedback)]
 )
 def test_numbers_are_those_of_the_public_interface(numbers: Any, interface: type) -> None:
-    assert {each.name: int(each) for each in numbers} == {each.name: getattr(interface, each.name) for each in numbers}
+    assert numbers.__members__ == {name: getattr(interface, name) for name in numbers.__members__}
 
 
 FREE = JointLimits(THREE, ("rad",) * 3, np.full(3, -np.inf), np.full(3, np.inf), np.full(3, 1e3))
