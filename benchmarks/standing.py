@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from valor.analysis.pace import Pace
+from valor.common import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import GroundTruth, MotionState, Statistics
@@ -104,7 +105,7 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
         cycles={service: last[service].cycles - first[service].cycles for service in last},
         status=status,
         load=os.getloadavg()[0],
-        pace=Pace.of(next(instance.bags.iterdir()), recorded_from, recorded_to),
+        pace=Pace.of(recordings.look(instance.bags)[-1].folder, recorded_from, recorded_to),
         cpu=cpu,
         memory=memory,
     )
