@@ -76,11 +76,11 @@ endef
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests. Three at a time on two cores: a test of the whole
-# robot waits as often as it computes. The longest come first, the many short ones fill the gaps. pytest keeps what it
-# has compiled for the next run, even where PYTHONDONTWRITEBYTECODE is set.
+# Everything that must hold: style, types, boundaries, then the tests: those of the whole robot one after the other, the
+# many short ones beside them. pytest keeps what it has compiled for the next run, even where PYTHONDONTWRITEBYTECODE is
+# set.
 test: $(STAMP) lint
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadgroup \
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup \
 	  --no-loadscope-reorder --durations 10 tests/integration tests/bifrost tests/unit tests/conformance
 
 # Those alone that need no whole robot.

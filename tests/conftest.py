@@ -59,11 +59,11 @@ def examples(count: int, *allowed: hypothesis.HealthCheck) -> hypothesis.setting
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Integration tests that share a running system stay together, in order: those of a file, or of a folder."""
+    """One robot at a time: integration tests run one after the other, but for those that name a group of their own."""
     integration = REPOSITORY / "tests" / "integration"
     for item in items:
         if integration in item.path.parents and not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group(item.path.relative_to(integration).parts[0].removesuffix(".py")))
+            item.add_marker(pytest.mark.xdist_group("robot"))
 
 
 def wait_until(condition: Callable[[], T], timeout: float, what: str, period: float = 0.02) -> T:

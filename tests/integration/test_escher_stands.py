@@ -87,11 +87,7 @@ class Case:
         return [(after, posture | {name: value for name, value in joints.items() if name not in posture})]
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(case, marks=pytest.mark.xdist_group(f"stands-{case[0]}-{case[1]}")) for case in CASES],
-    ids=lambda case: f"{case[0]}-seed{case[1]}",
-)
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: f"{case[0]}-seed{case[1]}")
 def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
     clock, seed, stand_time = request.param
     home = tmp_path_factory.mktemp("v")
