@@ -46,8 +46,10 @@ class SimulatedRobot:
         self.plant = Plant(description, settings.world, settings.actuators, settings.seed)
         self._sensors = Sensors(description, self.plant, profile.noise, settings.seed)
         n = len(description.joints)
-        zero = np.zeros(n)
-        self._motor = Motor(0, 0, 0, np.zeros(n, dtype=np.uint8), zero, zero, zero, zero, zero, "", 0)
+        # Arrays of their own: each device writes its joints' places.
+        position, velocity, effort, stiffness, damping = (np.zeros(n) for _ in range(5))
+        modes = np.zeros(n, dtype=np.uint8)
+        self._motor = Motor(0, 0, 0, modes, position, velocity, effort, stiffness, damping, behavior="", writer=0)
         self._changed = False
         self._powered = np.zeros(n, dtype=bool)
         carrying = [
