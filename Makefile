@@ -76,12 +76,16 @@ endef
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests: those of the whole robot one after the other, the
-# many short ones beside them. pytest keeps what it has compiled for the next run, even where PYTHONDONTWRITEBYTECODE is
-# set.
+# Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other, the rest
+# beside them and told when both are done. pytest keeps what it has compiled for the next run, even where
+# PYTHONDONTWRITEBYTECODE is set.
+ROBOTLESS := $(wildcard $(patsubst %,tests/integration/test_%.py,bag_recorder footstep_converter getting_up wheels))
+TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 test: $(STAMP) lint
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadgroup \
-	  --no-loadscope-reorder --durations 10 tests/integration tests/bifrost tests/unit tests/conformance
+	@$(TESTS) tests/unit tests/bifrost tests/conformance $(ROBOTLESS) >build/tests.log 2>&1 & rest=$$!; status=0; \
+	$(TESTS) tests/integration $(addprefix --ignore ,$(ROBOTLESS)) || status=1; \
+	wait $$rest || status=1; \
+	cat build/tests.log; exit $$status
 
 # Those alone that need no whole robot.
 test-quick: $(STAMP)

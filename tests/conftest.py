@@ -57,15 +57,6 @@ def examples(count: int, *allowed: hypothesis.HealthCheck) -> hypothesis.setting
     return hypothesis.settings(max_examples=count * max(1, FUZZ), suppress_health_check=checks)
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the marks
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """One robot at a time: integration tests run one after the other, but for those that name a group of their own."""
-    integration = REPOSITORY / "tests" / "integration"
-    for item in items:
-        if integration in item.path.parents and not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group("robot"))
-
-
 def wait_until(condition: Callable[[], T], timeout: float, what: str, period: float = 0.02) -> T:
     """Poll until ``condition()`` is true; returns what it gave.
 

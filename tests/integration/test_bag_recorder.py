@@ -59,7 +59,6 @@ SECOND = 1_000_000_000
 RELIABLE = QoSProfile(depth=1000)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-pytestmark = pytest.mark.xdist_group("recorder")  # no robot
 
 
 @pytest.fixture

@@ -37,7 +37,6 @@ ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
 LIMIT = 30.0  # for anything to happen on a loaded machine [s]
 FEEDBACK_PERIOD = 0.1  # [s]
-pytestmark = pytest.mark.xdist_group("converter")  # no robot
 
 
 class ScriptedMotionManager:
