@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import replace
 from datetime import datetime
@@ -12,13 +11,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace as replace_settings
 from rich.console import Console
 
-from valor.common.instance import ClockMode, Instance, Settings
+from valor.common.instance import ClockMode, Settings
 from valor.common.messages import ClockStatus
 from valor.valorctl.health import Health
-from valor.valorctl.status import Condition, Status, bag_of
+from valor.valorctl.status import Condition, Status
 from valor.valorctl.status_view import BAD, view
 
 
@@ -102,17 +100,3 @@ def test_who_stands_needs_no_way_out() -> None:
     assert "→" not in text
     assert standing.as_json()["way_out"] is None
     assert standing.as_json()["fallen"] is False
-
-
-def test_a_moment_is_in_the_first_bag_that_was_written_after_it(tmp_path: Path) -> None:
-    instance = Instance("lab", tmp_path)
-    for number, changed in enumerate((100.0, 200.0, 300.0)):
-        bag = instance.bags / "row" / f"row_{number}.mcap"
-        bag.parent.mkdir(parents=True, exist_ok=True)
-        bag.touch()
-        os.utime(bag, (changed, changed))
-    settings = FALLEN.settings
-    found = [bag_of(instance, settings, moment) for moment in (50.0, 150.0, 250.0, 350.0)]
-    assert [bag and bag.name for bag in found] == ["row_0.mcap", "row_1.mcap", "row_2.mcap", None]
-    for named in (instance.bags / "row", instance.bags / "row" / "row_1.mcap"):
-        assert bag_of(instance, replace_settings(settings, bag=named), 150.0) == instance.bags / "row" / "row_1.mcap"

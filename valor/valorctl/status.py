@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import bifrost
+from valor.common import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ClockStatus, ControlModeReport, MotionState
@@ -229,7 +230,7 @@ class Watch:
         if change is None:
             return None
         began = time.time() - (time.monotonic_ns() - change.stamp) * 1e-9
-        bag = bag_of(self._instance, self._settings, began)
+        bag = recordings.holding(self._instance.folder, began)
         return Condition(change.message.reason, change.message.time * 1e-9, began, bag)
 
     def _processes(self) -> tuple[dict[str, ProcessInfo], bool]:
@@ -255,17 +256,6 @@ def _found(instance: Instance) -> dict[str, ProcessInfo]:
             uptime = time.time() - process.process.create_time()
             found[name] = ProcessInfo(name, ProcessState.RUNNING, process.process.pid, uptime, 0, "")
     return found
-
-
-def bag_of(instance: Instance, settings: Settings, moment: float) -> Path | None:
-    """The bag that holds a moment [wall clock, s]: the first that was written after it, if one was."""
-    bag = settings.bag
-    if bag is None:
-        bags = instance.bags.glob("*/*.mcap")
-    else:
-        bags = bag.parent.glob(f"{bag.stem}*.mcap") if bag.suffix else bag.glob("**/*.mcap")
-    written = sorted((path.stat().st_mtime, path) for path in bags)
-    return next((path for changed, path in written if changed >= moment), None)
 
 
 class _Reports:
