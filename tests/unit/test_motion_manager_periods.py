@@ -301,14 +301,15 @@ def test_a_robot_that_was_stepping_without_us_is_let_go(standing: Robot) -> None
     assert "it was stepping" in standing.manager.fsm.reason
 
 
-def test_in_stand_prep_a_new_world_begins_stand_prep_anew(robot: Robot) -> None:
+def test_in_stand_prep_a_new_world_is_held_as_it_is_found(robot: Robot) -> None:
     robot.run(1.0)
     robot.time = 0
     found = np.clip(ROBOT.nominal_posture + 0.1, ROBOT.lower, ROBOT.upper)
     motor = robot.tick(joint_position=found)
-    assert robot.behavior is Behavior.STAND_PREP
+    assert robot.behavior is Behavior.FREEZE
     assert np.allclose(motor.position, found)
-    assert "to go" in robot.ask(Behavior.STAND)
+    assert not robot.ask(Behavior.STAND_PREP)
+    assert "begun" in robot.ask(Behavior.STAND)
 
 
 def broken(name: str, value: object) -> dict[str, object]:
