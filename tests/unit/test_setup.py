@@ -21,10 +21,9 @@ def interpreter(file: Path, answer: str, status: int = 0) -> Path:
 
 
 def make(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Make's dry run: what it would do."""
-    environment = {
-        name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")
-    }
+    """Run make, as from a shell: what a make around these tests was told is not handed on."""
+    told = ("MAKEFLAGS", "MAKEOVERRIDES", "MAKELEVEL", "MFLAGS", "PYTHON", "VENV")
+    environment = {name: value for name, value in os.environ.items() if name not in told}
     return subprocess.run(
         ["make", *arguments], cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=60, check=False
     )
