@@ -29,7 +29,7 @@ def turn(tracer: Tracer, sequence: int) -> None:
     """Once around a loop."""
     time.sleep(0.001)
     tracer.mark(Stage.AWAIT)
-    sum(range(20_000))
+    sum(range(400_000))  # many times what looking for messages costs, which counts as waiting here
     tracer.mark(Stage.SEND_MOTOR, sequence)
     tracer.cycle()
 
