@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.test_motion_manager_periods import MODEL, PERIOD, ROBOT, Robot, tilted
+from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, Robot, tilted
 from valor.common.messages import JointMode
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import BALANCING, INTERNAL_STATES, RESUMED, WAY_BACK, Behavior
-from valor.motion_manager.manager import MotionManager
 
 ARMS = [*ROBOT.group_indices("left_arm"), *ROBOT.group_indices("right_arm")]
 FOUND = ROBOT.nominal_posture.copy()  # but for the arms
@@ -20,7 +19,6 @@ BALANCED = [behavior for behavior in Behavior if INTERNAL_STATES[behavior][0] in
 def begin(behavior: str, seconds: float = 0.2, **changes: object) -> Robot:
     """A new process' Motion Manager in its first periods with a robot that was left in a behavior."""
     robot = Robot()
-    robot.manager = MotionManager(ROBOT, MODEL)
     robot.run(seconds, motor_behavior=behavior, **changes)
     return robot
 
