@@ -71,7 +71,7 @@ class ClockStatus(Message):
     real_time_factor: float  # over the last second
     slip: float  # robot time lost against the wall since the first Motor [s]
     waits_timed_out: int  # lockstep: periods that went on without the Motor that answers them
-    holding: bool  # Motor is silent: the joints are held with damping
+    holding: bool  # Motor is silent: the joints are held, or stay limp
 
 
 class DeviceStatus(Message):
