@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from valor.common.robot import RobotTables
+from valor.common.robot_tables import RobotTables
 from valor.common.worlds.stairs import Stairs
 from valor.valorctl.step_plan import PlanStep
 

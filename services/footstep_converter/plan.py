@@ -16,8 +16,9 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutio
 
 from valor.common.errors import ValorError
 from valor.common.messages import Footstep
+from valor.common.motion_tables import Footsteps
 from valor.common.poses import Pose
-from valor.common.robot import Feet, Footsteps
+from valor.common.robot_tables import Feet
 from valor.common.soles import outline, overlap
 
 ODOM = "odom"

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.messages import Proprioceptor
-from valor.common.robot import Hands
+from valor.common.robot_tables import Hands
 
 
 class HandContacts:

@@ -19,7 +19,7 @@ import numpy as np
 
 from valor.common.messages import HandGoalStatus
 from valor.common.model import Model
-from valor.common.robot import HandMotion
+from valor.common.motion_tables import HandMotion
 from valor.motion_manager.joint_reference import JointReference, Setpoint
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.dynamics import ModelJoints

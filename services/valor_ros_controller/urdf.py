@@ -17,7 +17,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import Joint, RobotDescription
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import Joint
 
 if TYPE_CHECKING:
     from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link

@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
+from valor.common.motion_tables import Footsteps
 from valor.common.poses import Pose, level
-from valor.common.robot import Footsteps, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.common.soles import outline, overlap
 from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
 

@@ -14,7 +14,8 @@ from hypothesis.extra.numpy import arrays
 
 from tests.conftest import examples
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import ActuatorProfile, Gear, RobotDescription, RobotTables
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import ActuatorProfile, Gear, RobotTables
 from valor.common.table import checked, plain
 from valor.simulation.actuators import Actuators
 from valor.simulation.gears import Gears

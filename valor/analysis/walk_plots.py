@@ -18,7 +18,8 @@ from valor.analysis.recording import Recording, nearest
 from valor.analysis.scene import Scene
 from valor.analysis.walk import Figures, Footprint, Track, footprints
 from valor.common import worlds
-from valor.common.robot import Foot, RobotDescription
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import Foot
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE
 
 STRIP = 16.0  # of the ground, shown in one row [m]

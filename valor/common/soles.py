@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import Foot
+from valor.common.robot_tables import Foot
 
 Vector = Sequence[float] | npt.NDArray[np.float64]
 Points = Sequence[tuple[float, float]]

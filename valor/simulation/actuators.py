@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import ActuatorProfile, RobotDescription
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import ActuatorProfile
 from valor.simulation.gears import Gears
 
 FloatVector = npt.NDArray[np.float64]

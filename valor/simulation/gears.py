@@ -11,7 +11,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import ActuatorProfile, Gear, RobotDescription
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import ActuatorProfile, Gear
 
 FloatVector = npt.NDArray[np.float64]
 

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor
-from valor.common.robot import RobotDescription, SensorNoise
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import SensorNoise
 from valor.simulation.plant import Plant
 
 FloatVector = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import Any
 
 from valor.common.errors import ValorError
 from valor.common.poses import Pose
-from valor.common.robot import Feet
+from valor.common.robot_tables import Feet
 from valor.common.soles import outline
 
 COLORS = ("tab:red", "tab:green")  # left, right, as on ships

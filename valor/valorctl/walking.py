@@ -16,8 +16,8 @@ from valor.analysis.walk_report import WalkReport
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor, VelocityCommand
+from valor.common.motion_tables import Walking as Limits
 from valor.common.robot import RobotDescription
-from valor.common.robot import Walking as Limits
 from valor.common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VELOCITY
 from valor.valorctl import control_mode
 from valor.valorctl.steering import Line

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from valor.common.robot import Foot
+from valor.common.robot_tables import Foot
 from valor.motion_manager.kernel import Expression, by_rows
 
 SURPRISE_TIME = 0.02  # over which surprise is averaged, so that noise alone is none [s]

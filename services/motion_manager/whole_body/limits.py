@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 
 from valor.common.model import Indices
-from valor.common.robot import RobotDescription, WholeBody
+from valor.common.motion_tables import WholeBody
+from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, clipped
 
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from valor.common.robot import Estimator
+from valor.common.motion_tables import Estimator
 from valor.motion_manager.kernel import Expression
 
 POSITION, VELOCITY, BIAS, FEET = 0, 1, 2, 3

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.model import Model
-from valor.common.robot import PelvisMotion
+from valor.common.motion_tables import PelvisMotion
 from valor.motion_manager.kernel import Expression
 from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.whole_body import rotation

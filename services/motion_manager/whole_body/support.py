@@ -7,7 +7,7 @@ from math import hypot
 
 import numpy as np
 
-from valor.common.robot import Feet
+from valor.common.robot_tables import Feet
 from valor.motion_manager.whole_body.state import FloatArray
 
 Point = tuple[float, float]

@@ -15,7 +15,7 @@ from math import nan
 
 import numpy as np
 
-from valor.common.robot import WholeBody
+from valor.common.motion_tables import WholeBody
 from valor.motion_manager.whole_body.dynamics import (
     CHEST,
     COM,

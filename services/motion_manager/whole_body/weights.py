@@ -6,7 +6,7 @@ from math import log
 
 import numpy as np
 
-from valor.common.robot import WholeBody
+from valor.common.motion_tables import WholeBody
 from valor.motion_manager.whole_body.state import FloatArray
 
 TASKS = ("com", "angular_momentum", "orientation", "foot", "arm_posture", "waist_posture", "leg_posture")

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from valor.common.messages import JointMode, Motor
 from valor.common.model import controller_model
-from valor.common.robot import RobotDescription, RobotTables
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import RobotTables
 from valor.common.table import checked, plain
 from valor.motion_manager.whole_body import (
     FallDetector,

@@ -10,7 +10,8 @@ import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.conftest import FloatArray
-from valor.common.robot import RobotDescription, RobotTables
+from valor.common.robot import RobotDescription
+from valor.common.robot_tables import RobotTables
 from valor.common.table import checked, plain
 from valor.motion_manager.whole_body import QpStatus
 from valor.motion_manager.whole_body.reference import minimum_jerk

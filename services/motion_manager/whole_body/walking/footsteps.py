@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import Footsteps
+from valor.common.motion_tables import Footsteps
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.swing import SolePose
 

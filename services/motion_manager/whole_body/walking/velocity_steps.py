@@ -15,7 +15,7 @@ from math import cos, inf, sin
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import Walking
+from valor.common.motion_tables import Walking
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
 from valor.motion_manager.whole_body.walking.ground import GroundPlane

@@ -1,0 +1,207 @@
+"""The tables of robot.yaml: what a robot consists of. How it moves stands in ``motion_tables.py``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from valor.common.devices.table import Calibration, DeviceTable, HdtBifrost, SupplyLimits
+from valor.common.motion_tables import (
+    Disturbance,
+    Estimator,
+    FallDetection,
+    Footsteps,
+    GainLimits,
+    HandMotion,
+    PelvisMotion,
+    SelfCollision,
+    Walking,
+    WholeBody,
+)
+from valor.common.table import NonNegative, Positive, Table
+
+
+class Servo(Table):
+    """Gains of a joint's own position servo."""
+
+    stiffness: NonNegative  # [N·m/rad]
+    damping: NonNegative  # [N·m·s/rad]
+
+
+class Joint(Table, kw_only=True):
+    """One actuated joint. ``lower`` and ``upper`` are absent where it turns without end."""
+
+    lower: float | None = None  # [rad]
+    upper: float | None = None  # [rad]
+    velocity: Positive  # limit [rad/s]
+    effort: Positive  # limit [N·m]
+    control: Literal["force", "impedance", "position"]  # how the Motion Manager drives it in operation
+    servo: Servo  # used in Idle, Stand Prep, Freeze, and in operation where control is not force
+    armature: NonNegative = 0.0  # rotor inertia seen at the joint [kg·m²]
+    damping: NonNegative = 0.0  # viscous [N·m·s/rad]
+
+    def __post_init__(self) -> None:
+        if (self.lower is None) != (self.upper is None):
+            raise ValueError("give both lower and upper, or neither")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise ValueError(f"lower {self.lower} must be below upper {self.upper}")
+
+
+class Foot(Table):
+    """A foot: its body, and the site at the sole's origin (x forward, z up, on the contact surface)."""
+
+    body: str
+    sole: str
+    heel: float  # x of the sole's back edge in the sole's frame [m]
+    toe: float  # x of the front edge [m]
+    half_width: Positive  # [m]
+
+
+class Hand(Table):
+    """A hand: its body, and the site that hand poses and wrenches refer to."""
+
+    body: str
+    site: str
+
+
+class Feet(Table):
+    """Both feet."""
+
+    left: Foot
+    right: Foot
+
+
+class Hands(Table):
+    """Both hands."""
+
+    left: Hand
+    right: Hand
+    contact_on: Positive = 15.0  # force from which a hand counts as touching something [N]
+    contact_off: Positive = 8.0  # until here
+
+
+class Imu(Table):
+    """Where the pelvis IMU sits."""
+
+    site: str
+
+
+class SensorNoise(Table):
+    """Standard deviations of white noise, and constant biases, of the simulated devices."""
+
+    joint_position: NonNegative = 0.0  # [rad]
+    joint_position_resolution: NonNegative = 0.0  # encoder quantum [rad]
+    joint_velocity: NonNegative = 0.0  # [rad/s]
+    joint_effort: NonNegative = 0.0  # [N·m]
+    orientation: NonNegative = 0.0  # IMU attitude, white [rad]
+    orientation_bias: NonNegative = 0.0  # roll and pitch, constant, drawn once from the seed [rad]
+    gyroscope: NonNegative = 0.0  # [rad/s]
+    accelerometer: NonNegative = 0.0  # [m/s²]
+    force: NonNegative = 0.0  # [N]
+    torque: NonNegative = 0.0  # [N·m]
+
+
+class Gear(Table):
+    """A joint's motor and gear, where they are not as the profile says of all joints."""
+
+    friction: NonNegative | None = None  # Coulomb, at the joint [N·m]; absent: the profile's
+    backlash: NonNegative | None = None  # peak to peak [rad]; absent: the profile's
+    feed_forward: bool = True  # whether the device takes Motor's effort; if not, nothing carries the links' weight
+    strength: Annotated[float, Meta(ge=0, le=1)] = 1.0  # share of the motor's torque that reaches the joint
+
+
+class ActuatorProfile(Table):
+    """How far the simulated plant is from the controller's model."""
+
+    mass_error: NonNegative = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
+    friction: NonNegative = 0.0  # Coulomb friction of every joint [N·m], at most friction_share of its effort limit
+    friction_share: NonNegative = 0.02  # so that fingers and neck are not stuck in a leg's friction
+    torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
+    delay: NonNegative = 0.0  # of commands [s]
+    backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
+    gears: dict[str, Gear] = {}  # of joints and groups; a joint's own goes first
+    noise: SensorNoise = SensorNoise()
+
+
+Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
+"""Name of a posture → side → joint → position."""
+
+
+class RobotTables(Table, kw_only=True):
+    """robot.yaml as a whole."""
+
+    name: str
+    model: str  # MJCF file in the robot's folder
+    control_rate: Positive  # [Hz]
+    physics_step: Positive  # of the simulation [s]
+    base: str  # the floating body, the pelvis
+    chest: str  # the body that pushes act on and whose orientation is held
+    head: str
+    imu: Imu
+    feet: Feet
+    hands: Hands
+    joints: dict[str, Joint]  # the order is that of every joint vector
+    groups: dict[str, list[str]]  # left_leg, right_leg, torso, left_arm, right_arm, neck, left_hand, right_hand, …
+    nominal_posture: dict[str, float]  # [rad]; joints not named: 0
+    nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
+    arm_presets: Presets  # [rad]
+    hand_presets: Presets = {}  # [rad]
+    actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
+    fall: FallDetection
+    footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
+    whole_body: WholeBody = WholeBody()
+    walking: Walking = Walking()
+    pelvis: PelvisMotion = PelvisMotion()
+    disturbance: Disturbance = Disturbance()
+    gains: GainLimits = GainLimits()
+    weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
+    hand_goals: HandMotion = HandMotion()
+    self_collision: SelfCollision = SelfCollision()
+    estimator: Estimator = Estimator()
+    link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
+    devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order in which they are found and enabled
+    calibration: Calibration = Calibration()
+    supply: SupplyLimits = SupplyLimits()
+
+    def __post_init__(self) -> None:
+        known = set(self.joints)
+        for group, members in self.groups.items():
+            if missing := set(members) - known:
+                raise ValueError(f"groups.{group}: unknown joints {sorted(missing)}")
+        if missing := set(self.nominal_posture) - known:
+            raise ValueError(f"nominal_posture: unknown joints {sorted(missing)}")
+        for profile, actuators in self.actuators.items():
+            if missing := set(actuators.gears) - known - set(self.groups):
+                raise ValueError(f"actuators.{profile}.gears: neither joints nor groups: {sorted(missing)}")
+        for limb, presets in (("arm", self.arm_presets), ("hand", self.hand_presets)):
+            for preset, sides in presets.items():
+                for side, posture in sides.items():
+                    if missing := set(posture) - set(self.groups[f"{side}_{limb}"]):
+                        where = f"{limb}_presets.{preset}.{side}"
+                        raise ValueError(f"{where}: not joints of the {side} {limb}: {sorted(missing)}")
+        for key, table in (("offsets", self.calibration.offsets), ("pose", self.calibration.pose)):
+            if missing := set(table) - known:
+                raise ValueError(f"calibration.{key}: unknown joints {sorted(missing)}")
+        self._each_joint_once()
+
+    def device_joints(self, name: str) -> list[str]:
+        """The joints that a device moves, in its units' order."""
+        device = self.devices[name]
+        if not isinstance(device, HdtBifrost):
+            return device.joints
+        for limb in device.limbs:
+            if limb.group not in self.groups:
+                raise ValueError(f"devices.{name}: unknown group {limb.group}")
+        return [joint for limb in device.limbs for joint in self.groups[limb.group]]
+
+    def _each_joint_once(self) -> None:
+        """Raise ``ValueError`` unless each joint that a device moves is known, and moved by no other."""
+        owner: dict[str, str] = {}
+        for name in self.devices:
+            for joint in self.device_joints(name):
+                if joint not in self.joints:
+                    raise ValueError(f"devices.{name}: unknown joint {joint}")
+                if joint in owner:
+                    raise ValueError(f"devices.{name}: joint {joint} is moved by {owner[joint]} already")
+                owner[joint] = name
