@@ -50,8 +50,9 @@ class ScriptedMotionManager:
         self.step_status: StepStatus | None = None
         self.silent = False
         self._server = node.server(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._answer)
-        self._state = node.publisher(MOTION_STATE.name, MotionState)
-        self._status = node.publisher(STEP_STATUS.name, StepStatus)
+        # Latched, for such a publisher alone knows who hears it.
+        self._state = node.publisher(MOTION_STATE.name, MotionState, latched=True)
+        self._status = node.publisher(STEP_STATUS.name, StepStatus, latched=True)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -77,6 +78,14 @@ class ScriptedMotionManager:
     def publish(self, status: StepStatus) -> None:
         """Say it now."""
         self._status.publish(status)
+
+    def wait_until_heard(self) -> None:
+        """Until the converter hears what is said of the plan."""
+        wait_until(lambda: self._status.subscribers, LIMIT, "a subscriber to the step status")
+
+    def wait_until_seen(self) -> None:
+        """Until the converter hears what is said of the robot, which it does while a plan runs."""
+        wait_until(lambda: self._state.subscribers, LIMIT, "a subscriber to the motion state")
 
     def _run(self) -> None:
         three, four = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
@@ -214,6 +223,7 @@ def ros_client(instance: RunningInstance) -> Iterator[Client]:
 def motion(instance: RunningInstance, ros_client: Client) -> Iterator[ScriptedMotionManager]:
     """One for each test; a fall ends whatever plan a test leaves behind."""
     scripted = ScriptedMotionManager(bifrost.Node("motion_manager", network=instance.network))
+    scripted.wait_until_heard()
     yield scripted
     scripted.silent, scripted.behavior = False, "fall"
     try:
@@ -368,6 +378,7 @@ def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
     motion.behavior = "step"
     motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
     wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), LIMIT, "the plan under way")
+    motion.wait_until_seen()
     return goal
 
 
