@@ -391,11 +391,33 @@ def without_supervisor(ctl: Cli) -> None:
     """What runs obeys, and is shown."""
     os.kill(ctl.supervisord(), signal.SIGKILL)
     assert "accepted" in ctl("mode", "soft_stop")
+    assert "accepted" in ctl("mode", "stand")
+    assert json.loads(ctl("stop", "--json"))["state"] == "soft_stop"
     assert "nothing restarts" in ctl("status", status=1)
     seen = ctl.status()
     assert not seen["supervised"]
     assert {service["state"] for service in seen["services"].values()} == {"ready"}
     assert seen["way_out"] == "valorctl mode stand"
+
+
+def whoever_dies_a_stop_tells_the_truth(ctl: Cli) -> None:
+    """Nobody restarts anything; the robot lies on the floor."""
+
+    def stopped(status: int = 0) -> str:
+        said = ctl("stop", status=status)
+        assert "motion_manager, over Bifrost: " in said and "valor_ros_controller, over ROS 2: " in said
+        return said.splitlines()[0]
+
+    assert stopped().endswith(": fall")
+    os.kill(ctl.pid("valor_ros_controller"), signal.SIGKILL)
+    assert stopped().endswith(": fall")
+    motion_manager, comms_manager = ctl.pid("motion_manager"), ctl.pid("comms_manager")
+    os.kill(motion_manager, signal.SIGSTOP)
+    assert "motion_manager is silent" in stopped(1)  # it would go on where it was
+    os.kill(motion_manager, signal.SIGKILL)
+    assert stopped().endswith("held by comms_manager: there is no motion_manager")
+    os.kill(comms_manager, signal.SIGKILL)
+    assert "comms_manager is silent" in stopped(1)
 
 
 def fallen(ctl: Cli) -> None:
@@ -473,6 +495,7 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     without_supervisor(ctl)
     fallen(ctl)
     held = shared_memory(ctl.processes())
+    whoever_dies_a_stop_tells_the_truth(ctl)
     assert re.search(rf"recorded {bag}: \d+\.\d MB, \d+", ctl("down"))
     ctl.assert_nothing_left()
     assert [file for file in held if os.path.exists(file)] == []

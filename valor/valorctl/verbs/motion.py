@@ -1,4 +1,4 @@
-"""``mode``, ``arm``, ``hand``, ``walk``, ``push``, ``get-up``."""
+"""``stop``, ``mode``, ``arm``, ``hand``, ``walk``, ``push``, ``get-up``."""
 
 from __future__ import annotations
 
@@ -29,12 +29,25 @@ _HAND_PRESET = typer.Argument(
 
 def register(app: typer.Typer) -> None:
     """Add the verbs."""
+    app.command()(stop)
     app.command()(mode)
     app.command()(arm)
     app.command()(hand)
     app.command()(walk)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
     app.command(name="get-up")(get_up)
+
+
+def stop(
+    freeze: Annotated[
+        bool, typer.Option("--freeze", help="Lock the joints; a robot that walks comes to stand before.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Stop the robot, by every path there is: it keeps its balance where it has one, else its joints are locked."""
+    from valor.valorctl import stopping
+
+    stopping.run(Instance.from_environment(), stopping.LOCK if freeze else stopping.STOP, json)
 
 
 def mode(

@@ -1,0 +1,315 @@
+"""Stopping the robot by every path at once, whatever of the system still runs.
+
+One path is Bifrost's, to the Motion Manager; the other is ROS', to the Valor ROS Controller, in a process of its own,
+for rclpy takes half a second to import. What counts is neither's answer but the Comms Manager's word on what the motors
+do.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+import bifrost
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, Proprioceptor
+from valor.common.topics import BEHAVIOR, CLOCK, PROPRIOCEPTOR
+from valor.valorctl.console import say, say_json
+from valor.valorctl.interruption import Interruption
+
+SOFT_STOP, FREEZE, FALL = "soft_stop", "freeze", "fall"
+LONGEST = 3.0  # until it is given up, once somebody has answered [s]
+LONGEST_WITHOUT_ANSWER = 10.0  # on a busy computer rclpy takes long to import [s]
+LONGEST_TO_FREEZE = 15.0  # a robot that walks is frozen once it stands [s]
+LASTING = 0.1  # for which the motors must obey before it is believed: a change of mode may be under way [s]
+_ANSWER = 1.0  # until a request is made anew [s]
+_PAUSE = 0.05  # between rounds of requests [s]
+_LOOK = 0.01  # [s]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the robot shall come to rest.
+
+    Attributes:
+        reached: behaviors that are meant.
+        requests: what the Motion Manager is asked for, each when it has refused the one before.
+        modes: what the VRC is asked for, likewise.
+        longest: how long to try [s].
+    """
+
+    reached: tuple[str, ...]
+    requests: tuple[str, ...]
+    modes: tuple[str, ...]
+    longest: float
+
+
+STOP = Goal((SOFT_STOP, FREEZE, FALL), (SOFT_STOP, FREEZE, FALL), ("emergency_stop",), LONGEST)
+"""Keep the balance where there is one, else lock the joints; on its way up from the floor only Fall follows."""
+
+LOCK = Goal((FREEZE,), (FREEZE, SOFT_STOP, FALL), (FREEZE, "emergency_stop"), LONGEST_TO_FREEZE)
+"""Lock the joints: a robot that walks or steps must come to stand before."""
+
+
+@dataclass
+class Path:
+    """One way to the robot.
+
+    Attributes:
+        name: whom it leads to, over what.
+        answer: what was answered; empty: nothing yet.
+        after: when, since the stop was asked for [s]; None: not at all.
+    """
+
+    name: str
+    answer: str = ""
+    after: float | None = None
+
+
+@dataclass
+class Stop:
+    """What became of it.
+
+    Attributes:
+        state: what the robot is confirmed to be in; empty: it is not confirmed to have stopped.
+        after: when that was, since it was asked for [s].
+        seen: what is known of the robot otherwise.
+        paths: that were tried.
+    """
+
+    state: str = ""
+    after: float = 0.0
+    seen: str = ""
+    paths: list[Path] = field(default_factory=list)
+
+    def as_json(self) -> dict[str, Any]:
+        """The object of ``stop --json``."""
+        return {
+            "stopped": bool(self.state),
+            "state": self.state or None,
+            "after_s": self.after if self.state else None,
+            "seen": self.seen or None,
+            "paths": [{"name": p.name, "answer": p.answer or None, "after_s": p.after} for p in self.paths],
+        }
+
+    def lines(self) -> list[str]:
+        """A line a path."""
+        return [
+            f"  {path.name}: {path.answer or 'no answer'}" + (f" ({path.after * 1e3:.0f} ms)" if path.after else "")
+            for path in self.paths
+        ]
+
+
+def command_line(arguments: Sequence[str]) -> tuple[Instance, Goal, bool] | None:
+    """What a command line that is nothing but ``stop`` asks for, and whether as JSON; None: another one.
+
+    So a stop need not wait until the other verbs are imported.
+    """
+    words = list(arguments)
+    name = None
+    if "--instance" in words[:-1]:
+        at = words.index("--instance")
+        name = words[at + 1]
+        del words[at : at + 2]
+    if words[:1] != ["stop"] or not {*words[1:]} <= {"--freeze", "--json"}:
+        return None
+    return Instance.from_environment(name), LOCK if "--freeze" in words else STOP, "--json" in words
+
+
+def run(instance: Instance, goal: Goal, json: bool) -> None:
+    """The verb: stop the robot, and say what became of it.
+
+    Raises:
+        ValorError: it is not confirmed to have stopped, or the instance is not up.
+    """
+    with Interruption() as interruption:
+        stopped = stop(instance, goal, interruption.check)
+    if json:
+        say_json(stopped.as_json())
+    elif stopped.state:
+        say("\n".join([f"stopped after {stopped.after:.2f} s: {stopped.state}", *stopped.lines()]))
+    if not stopped.state:
+        raise ValorError("\n".join([f"not confirmed to have stopped: {stopped.seen}", *stopped.lines()]))
+
+
+def stop(instance: Instance, goal: Goal, check: Callable[[], None] = lambda: None) -> Stop:
+    """Stop the robot. The supervisor is not needed, nor more than one of the paths.
+
+    Args:
+        instance: must be up.
+        goal: ``STOP`` or ``LOCK``.
+        check: called while waiting; may raise to give up. What was asked for stays asked for.
+
+    Raises:
+        ConfigurationError: the instance is not up, or its network is not readable.
+    """
+    began = time.monotonic()
+    instance.settings()
+    with _MotionSystem(instance, goal, began) as system:
+        system.advance()
+        ros = _Ros(instance, goal, began)
+        try:
+            while not (state := system.confirmed()):
+                answered = system.path.answer or ros.path.answer
+                if time.monotonic() - began > max(goal.longest, 0.0 if answered else LONGEST_WITHOUT_ANSWER):
+                    break
+                check()
+                system.wait()
+                system.advance()
+                if system.obeys:
+                    ros.close("not needed")  # it would ask the same Motion Manager for the same
+                ros.advance()
+        finally:
+            ros.close("not needed" if system.confirmed() else "")
+        return Stop(state, time.monotonic() - began, system.seen(), [system.path, ros.path])
+
+
+class _MotionSystem:
+    """The Motion Manager, asked over Bifrost, and what the Comms Manager says of the motors."""
+
+    def __init__(self, instance: Instance, goal: Goal, began: float) -> None:
+        self.path = Path("motion_manager, over Bifrost")
+        self.obeys = False
+        self._goal, self._began = goal, began
+        self._node = bifrost.Node("valorctl", network=bifrost.Network.load(instance.network_file, instance.keys))
+        self._states = self._node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._clocks = self._node.subscriber(CLOCK.name, ClockStatus)
+        self._client = self._node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self._request = -1  # the one that is open, of the goal's; -1: none
+        self._next = 0.0  # when the next round begins, monotonic [s]
+        self._behavior = ""  # of the newest Motor
+        self._holding = False
+        self._since: float | None = None  # when the motors began to obey, monotonic [s]
+        self._heard = 0.0  # when they were heard of last, monotonic [s]
+
+    def __enter__(self) -> _MotionSystem:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._node.close()
+
+    def wait(self) -> None:
+        sources: tuple[Any, ...] = (self._client, self._states, self._clocks)
+        bifrost.wait(sources, timeout=_LOOK)
+
+    def advance(self) -> None:
+        """Ask, and take in what has come."""
+        self._look()
+        now = time.monotonic()
+        if self._request < 0:
+            if now >= self._next and not self.obeys:
+                self._ask(0)
+            return
+        try:
+            reply = self._client.answer()
+        except bifrost.NoServerError:
+            self._round_ends(now)
+            return
+        except bifrost.Error as error:
+            self.path.answer = self.path.answer or str(error)
+            self._round_ends(now)
+            return
+        if reply is not None:
+            self._take(reply, now)
+
+    def _ask(self, request: int) -> None:
+        self._request = request
+        self._client.ask(BehaviorRequest(self._goal.requests[request]), timeout=_ANSWER)
+
+    def _take(self, reply: BehaviorReply, now: float) -> None:
+        asked = self._goal.requests[self._request]
+        self.obeys = reply.behavior in self._goal.reached
+        if self.obeys or reply.accepted or self.path.after is None:
+            self.path.answer = reply.behavior if self.obeys or reply.accepted else f"{asked} refused: {reply.reason}"
+            self.path.after = now - self._began
+        if self.obeys or reply.accepted or self._request + 1 == len(self._goal.requests):
+            self._round_ends(now)
+        else:
+            self._ask(self._request + 1)
+
+    def _round_ends(self, now: float) -> None:
+        self._request = -1
+        self._next = now + _PAUSE
+
+    def _look(self) -> None:
+        if clock := self._clocks.latest():
+            self._holding = clock.message.holding
+        received = self._states.latest()
+        if received is None:
+            return
+        now = time.monotonic()
+        self._heard = now
+        self._behavior = received.message.motor_behavior
+        if self._rests:
+            self._since = self._since or now
+        else:
+            undone, self._since = self._since is not None, None
+            self.obeys &= not undone and now < self._next + _ANSWER  # else it is asked anew
+
+    @property
+    def _rests(self) -> bool:
+        """Whether the joints obey a behavior that is meant, or are held for want of a Motion Manager.
+
+        The next one begins in Freeze or Fall; one that is merely silent would go on where it was.
+        """
+        if self._holding:
+            return self._client.server is None
+        return self._behavior in self._goal.reached
+
+    def confirmed(self) -> str:
+        """What the robot is known to be in, if that is what is meant."""
+        if self._since is None or self._heard - self._since < LASTING:
+            return ""
+        return "held by comms_manager: there is no motion_manager" if self._holding else self._behavior
+
+    def seen(self) -> str:
+        """What is known of the motors."""
+        if not self._heard:
+            if not self._node.discovery.connected:
+                return f"{self._node.daemon_silent}: nobody is found over Bifrost"
+            return "comms_manager is silent: nothing tells what the motors do"
+        if self._holding:
+            return "motion_manager is silent: comms_manager holds the joints as long as it is"
+        return f"the motors obey {self._behavior or 'nobody yet'}"
+
+
+class _Ros:
+    """The VRC, asked over ROS 2 by a process of its own."""
+
+    def __init__(self, instance: Instance, goal: Goal, began: float) -> None:
+        self.path = Path("valor_ros_controller, over ROS 2")
+        self._began = began
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "valor.valorctl.ros_stop", instance.name, str(instance.folder.parent), *goal.modes],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+
+    def advance(self) -> None:
+        """Take in what it says when it ends."""
+        if self.path.answer or self._child.poll() is None:
+            return
+        assert self._child.stdout is not None
+        try:
+            self.path.answer = msgspec.json.decode(self._child.stdout.read(), type=str)
+        except msgspec.DecodeError:
+            self.path.answer = f"could not be asked: ended with {self._child.returncode}"
+        self.path.after = time.monotonic() - self._began
+
+    def close(self, why: str) -> None:
+        """Let it go."""
+        self.advance()
+        if not self.path.answer:
+            self.path.answer = why
+        if self._child.poll() is None:
+            self._child.kill()
+        self._child.wait()
