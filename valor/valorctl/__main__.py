@@ -64,7 +64,7 @@ def run() -> int:
 
 
 def _obey(arguments: list[str]) -> None:
-    """Do what a command line says. A stop waits neither for the other verbs' imports nor, if granted, for others' turns."""
+    """Do what a command line says; a stop without waiting for the other verbs' imports, or if granted for its turn."""
     if "stop" in arguments:
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, STOP_NICE)

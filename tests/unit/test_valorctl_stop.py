@@ -1,0 +1,28 @@
+"""``valorctl stop``: which command lines are nothing else."""
+
+from __future__ import annotations
+
+import pytest
+
+from valor.valorctl.stopping import LOCK, STOP, Goal, command_line
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "goal", "json"),
+    [
+        ("stop", "default", STOP, False),
+        ("stop --freeze", "default", LOCK, False),
+        ("--instance two stop --json", "two", STOP, True),
+        ("stop --json --instance two --freeze", "two", LOCK, True),
+    ],
+)
+def test_a_plain_stop_is_known(words: str, name: str, goal: Goal, json: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("VALOR_INSTANCE", raising=False)
+    found = command_line(words.split())
+    assert found is not None
+    assert (found[0].name, *found[1:]) == (name, goal, json)
+
+
+@pytest.mark.parametrize("words", ["stop -h", "stop --frieze", "restart stop", "stop --instance", "stop now", ""])
+def test_what_is_more_or_less_is_for_the_command_line_as_a_whole(words: str) -> None:
+    assert command_line(words.split()) is None
