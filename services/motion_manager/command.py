@@ -53,6 +53,7 @@ class MotorCommand:
         self._led: Joints = self._compliant.copy()  # by the Whole-Body Controller
         self._led[moved] = True
         self._effort_limit = robot.effort_limit
+        self._lower, self._upper = robot.lower, robot.upper
         self._began = monotonic_ns()
         stiffness, damping, nothing = robot.servo_stiffness, robot.servo_damping, np.zeros(n)
         servo, force, off = JointMode.POSITION, JointMode.FORCE, JointMode.OFF
@@ -69,7 +70,8 @@ class MotorCommand:
         self.saturations = 0
         self.replaced = 0
         self.drive = self._limp
-        self.position = self.velocity = self.effort = nothing
+        self.velocity = self.effort = nothing
+        self.position: FloatVector = np.clip(nothing, robot.lower, robot.upper)
 
     def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
         """(n,) one mode for each way that joints are driven in operation."""
@@ -137,7 +139,7 @@ class MotorCommand:
         effort: FloatVector,
         led: tuple[FloatVector, FloatVector] | None = None,
     ) -> None:
-        """Take a command if it is finite, within the effort limits; else repeat the last.
+        """Take a command if it is finite, within the limits of positions and efforts; else repeat the last.
 
         Args:
             drive: how.
@@ -158,7 +160,7 @@ class MotorCommand:
         self.position, self.velocity, self.effort = self._checked.copy()
 
     def _expressions(self, wanted: Expression) -> Sequence[Expression]:
-        """(3, n) positions, velocities and limited efforts; (2,) the squares of all, and how many reach a limit."""
+        """(3, n) limited positions, velocities and limited efforts; (2,) the squares of all, and efforts at a limit."""
         position, velocity, effort, *led = (wanted[i, :] for i in range(5))
         joints = np.flatnonzero(self._led).tolist()
         position[joints], velocity[joints] = led[0][joints], led[1][joints]
@@ -166,6 +168,7 @@ class MotorCommand:
         limit = ca.DM(self._effort_limit).T[compliant]
         limited = ca.SX(1, effort.shape[1])
         limited[compliant] = clipped(effort[compliant], -limit, limit)
+        position = clipped(position, ca.DM(self._lower).T, ca.DM(self._upper).T)
         squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort)
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
         return ca.vertcat(position, velocity, limited), ca.vertcat(squares, beyond)

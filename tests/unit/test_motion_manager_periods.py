@@ -73,6 +73,7 @@ class Robot:
             assert vector.shape == (N,)
             assert np.isfinite(vector).all()
         assert (np.abs(motor.effort) <= LIMIT).all()
+        assert (motor.position >= ROBOT.lower).all() and (motor.position <= ROBOT.upper).all()
         assert motor.mode.shape == (N,)
 
     def report(self) -> Message:
@@ -241,6 +242,17 @@ def test_a_fall_makes_the_motors_limp_in_the_same_period(standing: Robot) -> Non
     assert not motor.stiffness.any()
     standing.run(0.5)  # upright again
     assert standing.behavior is Behavior.FALL
+
+
+@pytest.mark.parametrize("behavior", [Behavior.STAND, Behavior.FREEZE, Behavior.FALL])
+@pytest.mark.parametrize(("stop", "further"), [("upper", 0.05), ("lower", -0.05)])
+def test_joints_found_beyond_their_stops_are_not_commanded_there(
+    standing: Robot, behavior: Behavior, stop: str, further: float
+) -> None:
+    """``check`` looks at every Motor."""
+    stops = getattr(ROBOT, stop)
+    standing.ask(behavior)
+    standing.run(0.01, joint_position=np.where(np.isfinite(stops), stops + further, 0.0))
 
 
 def test_a_world_begun_anew_is_a_fall(standing: Robot) -> None:
