@@ -19,7 +19,7 @@ import pytest
 
 import bifrost
 from tests.conftest import wait_until
-from tests.integration.vrc_system import stamp
+from tests.integration.vrc.vrc_system import stamp
 from tests.system import RosClient, System, leftovers, running, shared_memory
 from valor.analysis.results import Result
 from valor.common.instance import Instance

@@ -11,12 +11,11 @@ import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from tests.conftest import wait_until
-from tests.integration.documented_interfaces import PLACEHOLDERS, Row, names, rows, tables
-from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go, stamp
+from tests.integration.vrc.documented_interfaces import PLACEHOLDERS, Row, names, rows, tables
+from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, stamp
 from tests.system import RosClient
 from valor.valor_ros_controller.control_modes import ControlModeTable
 
-SYSTEM = Standing("interfaces", ("footstep_converter",))
 OF_ROS = ("/rosout", "/parameter_events")
 
 

@@ -11,13 +11,12 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, wait_until
-from tests.integration.vrc_system import PATIENCE, Standing, Topic, go
+from tests.integration.vrc.vrc_system import PATIENCE, Topic, go
 from tests.system import RosClient
 from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection
 from valor.common.robot import RobotDescription
 from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
 
-SYSTEM = Standing("bypass")
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
 SUCCESSFUL = 0

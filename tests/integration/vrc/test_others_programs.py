@@ -15,11 +15,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.conftest import RunningInstance
-from tests.integration.documented_interfaces import rows
-from tests.integration.vrc_system import PATIENCE, Standing, go
+from tests.integration.vrc.documented_interfaces import rows
+from tests.integration.vrc.vrc_system import PATIENCE, go
 from tests.system import RosClient
 
-SYSTEM = Standing("foreign", ("bag_recorder",))
 pytestmark = pytest.mark.timeout(580)
 CLIENT = Path(__file__).with_name("foreign_client.py")
 RARE = ("goal_status", "rejection", "controller_state")  # only on an occasion, or while listened to
@@ -27,7 +26,8 @@ RARE = ("goal_status", "rejection", "controller_state")  # only on an occasion, 
 
 @pytest.fixture(scope="module")
 def said(system: RunningInstance) -> dict[str, Any]:
-    """What the program found, the robot walking and manipulating; the mode is ours to choose."""
+    """What the program found, recorded, the robot walking and manipulating; the mode is ours to choose."""
+    system.start("bag_recorder", wait=True)
     client = RosClient(system.environment)
     try:
         go(client, "stand")

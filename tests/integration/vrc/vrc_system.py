@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +16,18 @@ VRC = "valor_ros_controller"
 PATIENCE = 60.0  # [s]
 
 
-@dataclass(frozen=True)
-class Standing:
-    """A module's system (its ``SYSTEM``): everything but recorder and footsteps, in real time, and some others."""
-
-    name: str
-    others: tuple[str, ...] = ()
-
-
 @contextmanager
-def standing_robot(wanted: Standing) -> Iterator[RunningInstance]:
-    """It runs, with the robot on its feet."""
-    home = Path(tempfile.mkdtemp(prefix="valor-"))
-    try:
-        with fresh_instance(home, wanted.name, real_time_factor=1.0) as running:
-            for process in ("comms_manager", "motion_manager", *wanted.others, VRC):
-                running.start(process)
-            for process in (VRC, *wanted.others):
-                running.wait_ready(process, 2 * PATIENCE)
-            yield running
-    finally:
-        shutil.rmtree(home, ignore_errors=True)
+def standing_robot() -> Iterator[RunningInstance]:
+    """Everything but the recorder, in real time (nobody waits for the VRC), with the robot on its feet."""
+    with (
+        tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
+        fresh_instance(Path(home), "vrc", real_time_factor=1.0) as running,
+    ):
+        for process in ("comms_manager", "motion_manager", "footstep_converter", VRC):
+            running.start(process)
+        for process in (VRC, "footstep_converter"):
+            running.wait_ready(process, 2 * PATIENCE)
+        yield running
 
 
 def go(ros: RosClient, mode: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
-from tests.integration.vrc_system import PATIENCE, VRC, Standing, Topic, ask, go, pass_robot_time, stamp
+from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, pass_robot_time, stamp
 from tests.system import RosClient
 from valor.common.messages import (
     ControlModeReport,
@@ -36,7 +36,6 @@ from valor.common.topics import (
     VALOR_ROS_CONTROLLER_STATISTICS,
 )
 
-SYSTEM = Standing("vrc")
 PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]

@@ -1,4 +1,4 @@
-"""Fixtures of the modules that try the VRC: a system of the module's own, which its ``SYSTEM`` describes."""
+"""One system for all files of this folder: they run by their names, and the last kills its processes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import pytest
 
 import bifrost
 from tests.conftest import RunningInstance
-from tests.integration.vrc_system import go, standing_robot
+from tests.integration.vrc.vrc_system import go, standing_robot
 from tests.system import RosClient
 
 
-@pytest.fixture(scope="module")
-def system(request: pytest.FixtureRequest) -> Iterator[RunningInstance]:
-    """It runs, as long as the module's tests."""
-    with standing_robot(request.module.SYSTEM) as running:
+@pytest.fixture(scope="package")
+def system() -> Iterator[RunningInstance]:
+    """It runs, as long as the folder's tests."""
+    with standing_robot() as running:
         yield running
 
 
@@ -28,7 +28,7 @@ def ros(system: RunningInstance) -> Iterator[RosClient]:
     client.close()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def node(system: RunningInstance) -> bifrost.Node:
     """A node in the system's Bifrost network."""
     return system.node(f"{system.instance.name}_test")

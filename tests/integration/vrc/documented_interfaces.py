@@ -9,7 +9,7 @@ from pathlib import Path
 
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "interfaces.md"
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "interfaces.md"
 
 
 @dataclass(frozen=True)
