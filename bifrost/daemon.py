@@ -6,6 +6,7 @@ change to all of its nodes at once. Data never passes through it.
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import secrets
@@ -28,6 +29,11 @@ from bifrost.security import Gate, listening_socket, new_context
 
 _log = logging.getLogger("bifrostd")
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG
+EXIT_PORT_TAKEN = 75  # EX_TEMPFAIL: whoever has it may give it back, so that another start is worth while
+
+
+class PortTakenError(ConfigurationError):
+    """Somebody else listens where the daemon should."""
 
 
 @dataclass
@@ -61,7 +67,8 @@ class Daemon:
             self._socket.bind(network.computer.daemon)
         except zmq.ZMQError as error:
             self.close()
-            raise ConfigurationError(f"cannot listen on {network.computer.daemon}: {error.strerror}") from None
+            text = f"cannot listen on {network.computer.daemon}: {error.strerror}"
+            raise (PortTakenError if error.errno == errno.EADDRINUSE else ConfigurationError)(text) from None
         self._members: dict[int, _Member] = {}
         self._followers: dict[str, _Follower] = {}
         self._links = [Link(self._context, network, other) for other in network.others]
@@ -271,7 +278,7 @@ def main() -> int:
         daemon = Daemon(network)
     except ConfigurationError as error:
         _log.error("%s", error)
-        return EXIT_CONFIGURATION
+        return EXIT_PORT_TAKEN if isinstance(error, PortTakenError) else EXIT_CONFIGURATION
     _log.info("listening on %s", network.computer.daemon)
     try:
         while not stopping:

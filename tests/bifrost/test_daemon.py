@@ -140,7 +140,7 @@ def run_daemon(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
 
 def test_a_daemon_that_cannot_start_says_why_in_one_line(net: BifrostNetwork, tmp_path: Path) -> None:
     taken = run_daemon(net.environment())
-    assert taken.returncode == 78
+    assert taken.returncode == 75  # another start may succeed
     assert taken.stderr.count("\n") == 1
     assert f"cannot listen on {net.network.computer.daemon}: Address already in use" in taken.stderr
     missing = run_daemon(net.environment() | {"BIFROST_NETWORK": str(tmp_path / "none.json")})

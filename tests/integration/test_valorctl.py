@@ -58,6 +58,7 @@ class Cli:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            umask=0o022,
         )
         self.started.append(process)
         return process
@@ -102,6 +103,11 @@ class Cli:
                 continue
         ours = {process.pid for process in self.started if process.poll() is None}
         return [process for process in found if process.pid not in ours]
+
+    def assert_private(self, *others: Path) -> None:
+        """Nobody but their user may read or write, or look into, what is an instance's."""
+        files = [path for path in (self.home / "default").rglob("*") if not path.is_symlink()]
+        assert [str(path) for path in (self.home / "default", *files, *others) if path.stat().st_mode & 0o077] == []
 
     def assert_nothing_left(self, instance: str = "default") -> None:
         """Processes, sockets, files: only logs and bags stay."""
@@ -161,6 +167,9 @@ def soon(ctl: Cli) -> None:
 
 
 def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
+    old = ctl.home / "default" / "logs" / "old.log"
+    old.parent.mkdir(parents=True)
+    old.write_text("of an up under another mask\n")
     told = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--actuators", "ideal", "--seed", "3")
     for name in ("bifrostd", "comms_manager", "motion_manager"):
         assert f"{name} ready" in told
@@ -182,7 +191,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
         assert service["restarts"] == 0
         assert service["memory_mib"] > 10
         assert service["cpu_percent"] >= 0
-    assert oct((ctl.home / "default" / "keys").stat().st_mode & 0o777) == "0o700"
+    ctl.assert_private()
     assert "comms_manager" in ctl("status")
     traced = json.loads(ctl("trace", "--for", "2", "--json", "--plot", str(ctl.home / "trace.png")))
     assert traced["periods"] >= 3
@@ -206,6 +215,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     held = shared_memory(ctl.processes())
     ctl("down")
     ctl.assert_nothing_left()
+    ctl.assert_private()
     assert not accepts(network["host"], network["port"])
     assert [file for file in held if os.path.exists(file)] == []
     assert "not up" in ctl("down")
@@ -293,9 +303,32 @@ def test_killed_restarted_and_silent_processes_are_seen_as_such(ctl: Cli) -> Non
     ctl.assert_nothing_left()
 
 
-def test_down_clears_up_behind_a_killed_supervisor(ctl: Cli) -> None:
+def a_name_service_whose_port_is_taken_meanwhile_comes_back(ctl: Cli) -> None:
+    computer = json.loads((ctl.home / "default" / "network.json").read_text())["computers"][0]
+    log = ctl.home / "default" / "logs" / "bifrostd.log"
+    with socket.socket() as thief:
+        thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        pid = ctl.pid("bifrostd")
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: takes(thief, (computer["host"], computer["port"])), PATIENCE, "its port is free", 0.0)
+        wait_until(lambda: log.read_text().count("cannot listen") >= 2, PATIENCE, "it is tried again")
+    wait_until(lambda: ctl.status()["services"]["bifrostd"]["state"] == "ready", PATIENCE, "it is back")
+
+
+def takes(thief: socket.socket, address: tuple[str, int]) -> bool:
+    """Whether a socket now listens where another one did."""
+    try:
+        thief.bind(address)
+    except OSError:
+        return False
+    thief.listen()
+    return True
+
+
+def test_what_is_killed_comes_back_and_down_clears_up_behind_a_killed_supervisor(ctl: Cli) -> None:
     profile = ctl.profile(BIFROST_ALONE)
     ctl("up", "--profile", profile)
+    a_name_service_whose_port_is_taken_meanwhile_comes_back(ctl)
     os.kill(ctl.supervisord(), signal.SIGKILL)
     assert "valorctl down" in ctl("status", status=1)
     assert ctl.processes()
@@ -448,6 +481,7 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert set(seen["services"]) == set(processes)
     assert (seen["control_mode"], seen["behavior"], seen["profile"]) == ("stand", "stand", "sim")
 
+    ctl.assert_private(bag)
     listening = [port for process in ctl.processes() for port in ports(process.pid)]
     assert len(listening) >= len(processes)
     assert {mechanism(port) for port in listening} == {"CURVE"}
@@ -499,5 +533,6 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     assert re.search(rf"recorded {bag}: \d+\.\d MB, \d+", ctl("down"))
     ctl.assert_nothing_left()
     assert [file for file in held if os.path.exists(file)] == []
+    ctl.assert_private(bag)
     info = json.loads(ctl("bag", "info", str(bag), "--json"))
     assert {"/joint_states", "/bifrost/motion_manager/motor"} <= {topic["name"] for topic in info["topics"]}

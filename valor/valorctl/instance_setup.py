@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import stat
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ from valor.common.world_names import WORLD_NAMES
 from valor.valorctl import mode_names, recording_options
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import daemon_ports
+
+OTHERS = 0o077  # what a mode grants to anybody but the owner
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
         if wanted.bag is not None:
             wanted.bag.parent.mkdir(parents=True, exist_ok=True)
         recordings.save_bounds(instance.bags, wanted.recording.bounds)
+        _make_private(instance.folder)
         _rotate_logs(instance)
         bifrost.Network.create(instance.network_file, instance.keys, ports=daemon_ports(ros_domain))
         settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
@@ -147,6 +151,24 @@ def _rotate_logs(instance: Instance) -> None:
     """Begin logs anew; what the last ``up`` left goes to ``.1``."""
     for log in instance.logs.glob("*.log"):
         log.replace(log.with_name(log.name + ".1"))
+
+
+def _make_private(folder: Path) -> None:
+    """What there is already, of an ``up`` under another mask, its user keeps to himself, too."""
+    for path in (folder, *folder.rglob("*")):
+        mode = path.lstat().st_mode
+        if not stat.S_ISLNK(mode) and mode & OTHERS:
+            path.chmod(stat.S_IMODE(mode) & ~OTHERS)
+
+
+@contextlib.contextmanager
+def private_files() -> Iterator[None]:
+    """Whatever is made here, and by the processes that are started here, is its user's alone: 0600, folders 0700."""
+    before = os.umask(OTHERS)
+    try:
+        yield
+    finally:
+        os.umask(before)
 
 
 @contextlib.contextmanager

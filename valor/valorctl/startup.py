@@ -41,7 +41,7 @@ def bring_up(instance: Instance, plan: instance_setup.Plan, progress: Progress, 
         ValorError: it is up already, or did not come up; then nothing of it is left.
     """  # fmt: skip
     require_descriptors()
-    with instance_setup.changing(instance):
+    with instance_setup.private_files(), instance_setup.changing(instance):
         refuse_if_up(instance)
         if leftovers.processes_of(instance) or leftovers.files_of(instance):
             shutdown.take_down(instance)
