@@ -126,7 +126,7 @@ def described(link: ElementTree.Element) -> Counter[tuple[Any, ...]]:
     found: Counter[tuple[Any, ...]] = Counter()
     for kind in ("collision", "visual"):
         for each in link.findall(kind):
-            ((shape,), origin) = (list(each.find("geometry") or []), each.find("origin"))
+            (shape,), origin = each.findall("geometry/*"), each.find("origin")
             size = [number for key in ("size", "radius", "length") for number in numbers(shape, key)]
             rotation = Rotation.from_euler("xyz", numbers(origin, "rpy")).as_matrix()
             color = numbers(each.find("material/color"), "rgba")
