@@ -1,4 +1,4 @@
-"""A process for the Bifrost tests: ``publish|latch|subscribe|serve TOPIC [argument]``."""
+"""A process for the Bifrost tests: ``publish|latch|subscribe|stall|serve TOPIC [argument]``."""
 
 from __future__ import annotations
 
@@ -38,6 +38,19 @@ def subscribe(node: bifrost.Node, topic: str, queue: int) -> None:
         say({"count": received.message.count, "sequence": received.sequence, "drops": subscriber.drops})
 
 
+def stall(node: bifrost.Node, topic: str, seconds: float) -> None:
+    """Ten short queues: all hear somebody, say so, are not read for a while, and so on."""
+    subscribers = [node.subscriber(topic, Sample, queue=10) for _ in range(10)]
+    say("ready")
+    while True:
+        now = time.monotonic_ns()
+        for subscriber in subscribers:
+            while (received := subscriber.receive()) is None or received.stamp < now:
+                pass
+        say("all have heard")
+        time.sleep(seconds)
+
+
 def serve(node: bifrost.Node, topic: str) -> None:
     """Do as told, for ever."""
     handled = 0
@@ -68,5 +81,7 @@ if __name__ == "__main__":
             publish(own_node, topic, float(sys.argv[3]), role == "latch")
         elif role == "subscribe":
             subscribe(own_node, topic, int(sys.argv[3]))
+        elif role == "stall":
+            stall(own_node, topic, float(sys.argv[3]))
         else:
             serve(own_node, topic)
