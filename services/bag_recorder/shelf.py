@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
-import os
 import socket
 import time
 from collections.abc import Callable, Mapping
@@ -18,7 +17,7 @@ from valor.bag_recorder import tally
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.clock import ClockChange, WallClock
 from valor.bag_recorder.housekeeper import Housekeeper
-from valor.common import recordings
+from valor.common import recordings, whole_file
 from valor.common.bag_index import EVENT, BagError, read_index
 from valor.common.bag_recovery import recover
 from valor.common.errors import ConfigurationError
@@ -255,9 +254,7 @@ class _Notes:
         if not paths:
             self._file.unlink(missing_ok=True)
             return
-        beside = self._file.with_suffix(".new")
-        beside.write_bytes(msgspec.json.encode(plain(Unfinished(unfinished=tuple(paths)))))
-        os.replace(beside, self._file)
+        whole_file.write(self._file, msgspec.json.encode(plain(Unfinished(unfinished=tuple(paths)))))
 
 
 def wall_time(clock: WallClock) -> int:

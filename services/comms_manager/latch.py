@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+from valor.common import whole_file
 
 _log = logging.getLogger("comms_manager")
 
@@ -48,9 +49,7 @@ class BehaviorLatch:
         return ""
 
     def _write(self, behavior: str) -> None:
-        beside = self._file.with_suffix(".new")
         try:
-            beside.write_text(json.dumps({"epoch": self._epoch, "behavior": behavior}))
-            os.replace(beside, self._file)
+            whole_file.write(self._file, json.dumps({"epoch": self._epoch, "behavior": behavior}))
         except OSError as error:
             _log.warning("%s: %s; after a restart the behavior %s is not known", self._file, error.strerror, behavior)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from valor.analysis.chapters import Chapter, command_for_all
 from valor.analysis.errors import ResultError
 from valor.analysis.report import Grid
 from valor.analysis.results import Picture, Table
+from valor.common import whole_file
 
 FILE = "README.md"
 
@@ -32,9 +32,7 @@ def write(chapters: Sequence[Chapter], folder: Path) -> Path:
             for picture in chapter.result.pictures if chapter.result else ():
                 if not chapter.fault(picture):
                     shutil.copyfile(chapter.folder / picture.file, folder / Path(picture.file).name)
-        beside = folder / f".{FILE}"
-        beside.write_text("\n\n".join(parts) + "\n")
-        os.replace(beside, folder / FILE)
+        whole_file.write(folder / FILE, "\n\n".join(parts) + "\n")
     except OSError as error:
         raise ResultError(f"{error.filename}: {error.strerror}") from None
     return folder / FILE

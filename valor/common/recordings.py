@@ -22,7 +22,7 @@ from typing import BinaryIO, Literal
 
 import msgspec
 
-from valor.common import rosbag2_metadata
+from valor.common import rosbag2_metadata, whole_file
 from valor.common.bag_index import beginning, origin
 from valor.common.errors import ConfigurationError
 from valor.common.retention import Bounds, Disk, Piece, Surplus, surplus
@@ -232,9 +232,7 @@ def save_bounds(bags: Path, bounds: Bounds) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    beside = bags / f"{_BOUNDS}.{os.getpid()}"
-    beside.write_bytes(msgspec.json.encode(plain(bounds)))
-    beside.replace(bags / _BOUNDS)
+    whole_file.write(bags / _BOUNDS, msgspec.json.encode(plain(bounds)))
 
 
 def saved_bounds(bags: Path) -> Bounds:

@@ -7,7 +7,6 @@ own indices, so that it can be written anew at any time.
 from __future__ import annotations
 
 import contextlib
-import os
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from valor.common import whole_file
 from valor.common.bag_index import EVENT, BagError, BagIndex, read_index, read_metadata
 
 FILE = "metadata.yaml"
@@ -77,11 +77,9 @@ def write(folder: Path) -> Path | None:
     if not found:
         return None
     found.sort(key=lambda each: (each[1].statistics.message_start_time, each[0].name))
-    beside = folder / f"{FILE}.{os.getpid()}.new"
-    with open(beside, "w") as out:
-        yaml.dump({"rosbag2_bagfile_information": _information(found)}, out, _Plain, sort_keys=False)
     target = folder / FILE
-    os.replace(beside, target)
+    content: str = yaml.dump({"rosbag2_bagfile_information": _information(found)}, None, _Plain, sort_keys=False)
+    whole_file.write(target, content)
     return target
 
 

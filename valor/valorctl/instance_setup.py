@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 import bifrost
-from valor.common import recordings
+from valor.common import recordings, whole_file
 from valor.common.errors import ConfigurationError, ValorError, require_one_of
 from valor.common.instance import ClockMode, Instance, Recording, Settings
 from valor.common.processes import RECORDER
@@ -135,16 +135,10 @@ def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
         _rotate_logs(instance)
         bifrost.Network.create(instance.network_file, instance.keys, ports=daemon_ports(ros_domain))
         settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
-        _write(instance.settings_file, settings.json())
+        whole_file.write(instance.settings_file, settings.json())
     except OSError as error:
         raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None
     return settings
-
-
-def _write(file: Path, text: str) -> None:
-    temporary = file.with_name(f".{file.name}.{os.getpid()}")
-    temporary.write_text(text)
-    temporary.replace(file)
 
 
 def _rotate_logs(instance: Instance) -> None:
