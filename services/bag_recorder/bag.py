@@ -11,7 +11,7 @@ from typing import Protocol
 from mcap.writer import CompressionType
 
 from valor.bag_recorder.quick_writer import QuickWriter
-from valor.common.bag_index import LIBRARY, PROFILE
+from valor.common.bag_files import LIBRARY, PROFILE
 
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
 _LOCK_PATIENCE = 0.5  # [s]

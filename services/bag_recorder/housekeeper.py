@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from valor.common import recordings, rosbag2_metadata
+from valor.common.bag_files import is_own_folder
 from valor.common.retention import Bounds
 
 PERIOD = 10.0  # between two looks at what there is; a finished bag is a reason to look at once [s]
@@ -65,7 +66,7 @@ class Housekeeper:
             self._prune()
 
     def _describe(self, bag: Path) -> None:
-        if not rosbag2_metadata.is_own_folder(bag):
+        if not is_own_folder(bag):
             return
         try:
             if bag.parent.parent == self._bags:

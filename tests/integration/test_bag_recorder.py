@@ -47,8 +47,8 @@ from valor.common.bag_recovery import recover
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Recording
 from valor.common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
+from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.retention import Bounds
-from valor.common.service import EXIT_CONFIGURATION
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
 from valor.valorctl import bag_player, recording_list, recording_report
 from valor.valorctl.ros_domain import DOMAINS

@@ -27,8 +27,8 @@ from valor.common.messages import (
     PushRequest,
     Statistics,
 )
+from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.robot import RobotDescription
-from valor.common.service import EXIT_CONFIGURATION
 from valor.common.topics import CLOCK, COMMS_MANAGER_STATISTICS, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, Topic
 from valor.comms_manager.simulation.clock import BACKLOG
 

@@ -13,7 +13,8 @@ from rosbags.rosbag2 import Reader
 
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.common import rosbag2_metadata
-from valor.common.bag_index import EVENT, BagError, origin, read_index
+from valor.common.bag_files import is_own_folder, origin
+from valor.common.bag_index import EVENT, BagError, read_index
 from valor.common.errors import ValorError
 from valor.valorctl.bag_summary import summarize
 
@@ -122,4 +123,4 @@ def test_a_folder_without_a_finished_bag_gets_none(tmp_path: Path) -> None:
     ("file", "own"), [("walk/walk.mcap", True), ("walk/walk_1.mcap", True), ("bags/walk.mcap", False)]
 )
 def test_a_bag_stands_in_a_folder_of_its_own_name_or_not(file: str, own: bool) -> None:
-    assert rosbag2_metadata.is_own_folder(Path(file)) == own
+    assert is_own_folder(Path(file)) == own

@@ -15,9 +15,8 @@ from tests.conftest import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.processes import BY_NAME, PROCESSES, Process
+from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, PROCESSES, Process
 from valor.common.robot import RobotDescription
-from valor.common.service import EXIT_CONFIGURATION
 from valor.valorctl import instance_setup, supervisor_config
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.profile import Profile

@@ -8,21 +8,18 @@ from pathlib import Path
 from struct import error as StructError  # noqa: N812
 from typing import Any, BinaryIO
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE, make_reader
-from mcap.records import Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset
+from mcap.records import Channel, Footer, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap.summary import Summary
-from mcap.writer import MCAP0_MAGIC
 
 from valor.common.errors import ValorError
 
-PROFILE, LIBRARY = "ros2", "valor"  # of each bag of ours
 EVENT = "event"  # name of the metadata record of something that happened: what, stamp_ns, reason
 _RECORD_HEAD = 9  # of a record: opcode and length [B]
-_LARGEST_ORIGIN = 1 << 20  # [B]
 _CHUNKS = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX)  # left out: thousands an hour, that nobody asks for here
 
 
@@ -36,14 +33,6 @@ class BagIndex:
 
     summary: Summary
     statistics: Statistics
-
-
-def beginning() -> bytes:
-    """What each bag of ours begins with."""
-    builder = RecordBuilder()
-    builder.write(MCAP0_MAGIC)
-    Header(PROFILE, LIBRARY).write(builder)
-    return bytes(builder.end())
 
 
 def read_index(bag: Path) -> BagIndex | None:
@@ -76,24 +65,6 @@ def read_metadata(bag: Path, index: BagIndex, name: str) -> list[dict[str, str]]
                 file.seek(each.offset + _RECORD_HEAD)
                 found.append(Metadata.read(ReadDataStream(file)).metadata)
     return found
-
-
-def origin(bag: Path) -> dict[str, str]:
-    """Where a bag of ours comes from, finished or not: the metadata record that it begins with; empty: it has none.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    with open(bag, "rb") as file:
-        file.seek(len(_BEGINNING))
-        try:
-            stream = ReadDataStream(file)
-            if stream.read1() == Opcode.METADATA and stream.read8() < _LARGEST_ORIGIN:
-                values: dict[str, str] = Metadata.read(stream).metadata
-                return values
-        except (McapError, ValueError, StructError):
-            pass  # not written yet
-    return {}
 
 
 def _read(file: BinaryIO) -> Summary | None:
@@ -133,6 +104,3 @@ def _add(summary: Summary, records: list[Any]) -> None:
             summary.channels[record.id] = record
         elif isinstance(record, MetadataIndex):
             summary.metadata_indexes.append(record)
-
-
-_BEGINNING = beginning()

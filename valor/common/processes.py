@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 RECORDER = "bag_recorder"
+EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the process again
 
 Cores = Literal["own", "others", "any"]
 Turns = Literal["short", "usual", "background"]

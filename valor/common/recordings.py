@@ -22,18 +22,16 @@ from typing import BinaryIO, Literal
 
 import msgspec
 
-from valor.common import rosbag2_metadata, whole_file
-from valor.common.bag_index import beginning, origin
+from valor.common import whole_file
+from valor.common.bag_files import BEGINNING, SUFFIX, is_own_folder, origin
 from valor.common.errors import ConfigurationError
 from valor.common.retention import Bounds, Disk, Piece, Surplus, surplus
-from valor.common.rosbag2_metadata import SUFFIX
 from valor.common.table import Table, checked, plain
 
 KEEP = "KEEP"  # a file of this name in a recording's folder: it stays
 _BOUNDS = "bounds.json"  # what the last `up` was told
 _LOCK = ".lock"
 _TIME = "%Y-%m-%d_%H-%M-%S"
-_BEGINNING = beginning()
 _NAME = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:_(?P<label>[a-z]+))?(?:_\d+)?")
 
 
@@ -122,7 +120,7 @@ def _recording(folder: Path) -> Recording:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             kept |= entry.name == KEEP
-            if entry.name.endswith(SUFFIX) and rosbag2_metadata.is_own_folder(folder / entry.name):
+            if entry.name.endswith(SUFFIX) and is_own_folder(folder / entry.name):
                 with contextlib.suppress(OSError):  # gone meanwhile
                     found = entry.stat(follow_symlinks=False)
                     if stat.S_ISREG(found.st_mode):
@@ -146,7 +144,7 @@ def _state(bag: Path) -> Literal["written", "closed", "foreign"]:
     """A recorder holds the file that it writes locked, from before its first byte on."""
     try:
         with _opened(bag) as file:
-            if file.read(len(_BEGINNING)) != _BEGINNING:
+            if file.read(len(BEGINNING)) != BEGINNING:
                 return "foreign"
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -189,9 +187,9 @@ def start_of(bag: Path) -> float:
 
 def pieces_of(bag: Path) -> list[Path]:
     """A bag and, if it stands in a folder of its own, those that it was split into."""
-    if not rosbag2_metadata.is_own_folder(bag):
+    if not is_own_folder(bag):
         return [bag]
-    return [piece for piece in bag.parent.glob(f"*{SUFFIX}") if rosbag2_metadata.is_own_folder(piece)]
+    return [piece for piece in bag.parent.glob(f"*{SUFFIX}") if is_own_folder(piece)]
 
 
 def holding(instance_folder: Path, when: float) -> Path | None:
@@ -204,6 +202,8 @@ def holding(instance_folder: Path, when: float) -> Path | None:
     written = being_written(instance_folder)
     if written is not None and start_of(written) <= when:
         return written
+    from valor.common import rosbag2_metadata  # reads YAML; whoever only looks need not wait for that
+
     for recording in reversed(look(instance_folder / "bags")):
         head = rosbag2_metadata.head(recording.folder)
         start = head.start if head else recording.begun
@@ -290,6 +290,8 @@ def prune(bags: Path, bounds: Bounds, floor: int | None = None, now: float | Non
 
 def _remove(piece: Piece) -> bool:
     """Remove one piece, and its recording with the last of them; whether it went."""
+    from valor.common import rosbag2_metadata
+
     try:
         with _opened(piece.path) as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -307,6 +309,8 @@ def _remove(piece: Piece) -> bool:
 
 def _clear(folder: Path) -> None:
     """Remove the folder of a recording without pieces, unless somebody else has put something there."""
+    from valor.common import rosbag2_metadata
+
     if not any(folder.glob(f"*{SUFFIX}")):
         (folder / rosbag2_metadata.FILE).unlink(missing_ok=True)
         folder.rmdir()

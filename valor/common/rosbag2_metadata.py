@@ -15,18 +15,12 @@ from typing import Any
 import yaml
 
 from valor.common import whole_file
+from valor.common.bag_files import SUFFIX, is_own_folder
 from valor.common.bag_index import EVENT, BagError, BagIndex, read_index, read_metadata
 
 FILE = "metadata.yaml"
-SUFFIX = ".mcap"
 VERSION, DISTRIBUTION = 9, "jazzy"
 _TOPICS = "topics_with_message_count"
-
-
-def is_own_folder(bag: Path) -> bool:
-    """Whether a bag stands in a folder of its own name: ``walk/walk.mcap``, ``walk/walk_1.mcap``."""
-    folder = bag.parent.name
-    return bag.stem == folder or bag.stem.startswith(f"{folder}_")
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,11 @@ from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
 from valor.common.priority import take_cores, take_priority, take_turns
-from valor.common.processes import BY_NAME, Process
+from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, Process
 from valor.common.robot import RobotDescription
 from valor.common.topics import STATISTICS
 from valor.common.trace import Tracer
 
-EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the service again
 _LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 

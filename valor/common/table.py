@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
 import msgspec.inspect
-import yaml
 
 from valor.common.errors import ConfigurationError
 
@@ -87,6 +86,8 @@ def read(kind: type[T], file: Path) -> T:
     Raises:
         ConfigurationError: the file or a key is missing or wrong; in one line that names both.
     """
+    import yaml  # not for those who take tables of JSON alone
+
     try:
         return checked(kind, yaml.safe_load(file.read_text()))
     except OSError as error:

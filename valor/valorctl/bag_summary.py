@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from valor.common.bag_files import SUFFIX
 from valor.common.bag_index import BagError, BagIndex, read_index
 from valor.common.errors import ValorError
-from valor.common.rosbag2_metadata import SUFFIX
 
 
 @dataclass(frozen=True)

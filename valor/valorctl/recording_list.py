@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from valor.common import recordings, rosbag2_metadata
-from valor.common.bag_index import origin
+from valor.common.bag_files import origin
 from valor.common.instance import Instance
 
 

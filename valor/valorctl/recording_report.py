@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from valor.common import recordings, rosbag2_metadata
+from valor.common import recordings
+from valor.common.bag_files import SUFFIX, is_own_folder
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.processes import RECORDER
@@ -44,7 +45,7 @@ class Glance:
         together = f"recordings take {size_text(self.total)}{bound}"
         if self.path is None:
             return f"nothing is being written; {together}"
-        name = self.path.parent if rosbag2_metadata.is_own_folder(self.path) else self.path
+        name = self.path.parent if is_own_folder(self.path) else self.path
         return f"recording to {name}: {size_text(self.size)}, {time_text(self.duration)}; {together}"
 
     def as_json(self) -> dict[str, Any]:
@@ -165,7 +166,7 @@ def announcement(instance: Instance, settings: Settings, processes: Iterable[str
     if bag is None:
         return f"nothing is being recorded; `valorctl status` says why ({RECORDER})"
     ahead = outlook(instance, settings.recording.bounds, bag)
-    place = bag.parent if rosbag2_metadata.is_own_folder(bag) else bag
+    place = bag.parent if is_own_folder(bag) else bag
     return f"recording to {place}: {ahead.line()}"
 
 
@@ -192,10 +193,12 @@ def up_since(instance: Instance) -> Callable[[], list[Written]]:
 
 
 def _written(instance: Instance, settings: Settings, since: float) -> list[Written]:
+    from valor.common.rosbag2_metadata import head as head_of
+
     found = []
     for recording in recordings.look(instance.bags):
         if min(recording.begun + 1.0, recording.ended) >= since:  # its name tells whole seconds
-            head = rosbag2_metadata.head(recording.folder)
+            head = head_of(recording.folder)
             duration = head.duration if head else recording.ended - recording.begun
             found.append(Written(recording.folder, recording.size, duration))
     if settings.bag is not None and all(each.path != settings.bag for each in found):
@@ -205,9 +208,11 @@ def _written(instance: Instance, settings: Settings, since: float) -> list[Writt
 
 def _named(bag: Path, since: float) -> list[Written]:
     """Recordings where somebody wanted them: a folder, or files of that name."""
-    if bag.suffix != rosbag2_metadata.SUFFIX:
-        head = rosbag2_metadata.head(bag)
-        size = sum(_size(piece) for piece in recordings.pieces_of(bag / f"{bag.name}{rosbag2_metadata.SUFFIX}"))
+    from valor.common.rosbag2_metadata import head as head_of
+
+    if bag.suffix != SUFFIX:
+        head = head_of(bag)
+        size = sum(_size(piece) for piece in recordings.pieces_of(bag / f"{bag.name}{SUFFIX}"))
         return [Written(bag, size, head.duration if head else 0.0)] if size else []
     found = [(file, file.stat()) for file in sorted(bag.parent.glob(f"{bag.stem}*{bag.suffix}"))]
     return [

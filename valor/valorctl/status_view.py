@@ -9,7 +9,6 @@ from datetime import datetime
 from typing import NoReturn
 
 from rich.console import Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -32,6 +31,8 @@ def show(look: Callable[[], Status], period: float) -> NoReturn:
         while True:
             rich_console().print(Group(view(look()), ""))
             time.sleep(period)
+    from rich.live import Live
+
     with Live(view(look()), console=rich_console(wrap=True), auto_refresh=False) as live:
         while True:
             time.sleep(period)

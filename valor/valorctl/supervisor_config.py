@@ -7,8 +7,7 @@ from pathlib import Path
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance
-from valor.common.processes import Process
-from valor.common.service import EXIT_CONFIGURATION
+from valor.common.processes import EXIT_CONFIGURATION, Process
 
 MARKER = "VALOR_SUPERVISED"
 """In the environment of supervisord and all its descendants, and of nobody who merely joined the instance."""

@@ -24,9 +24,8 @@ from valor.common.messages import (
     Rejection,
     Statistics,
 )
-from valor.common.processes import BY_NAME
+from valor.common.processes import BY_NAME, EXIT_CONFIGURATION
 from valor.common.robot import RobotDescription
-from valor.common.service import EXIT_CONFIGURATION
 from valor.common.topics import (
     CONTROL_MODE,
     JOINT_SETPOINTS,

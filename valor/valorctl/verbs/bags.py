@@ -101,10 +101,11 @@ def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False)
 def recover(file: File) -> None:
     """Finish in place a recording whose recorder was killed; one that is whole is left alone."""
     from valor.common import rosbag2_metadata
+    from valor.common.bag_files import is_own_folder
     from valor.common.bag_recovery import recover as finish
 
     found = finish(file)
-    if rosbag2_metadata.is_own_folder(file.absolute()):
+    if is_own_folder(file.absolute()):
         rosbag2_metadata.write(file.absolute().parent)
     if found.finished:
         say(f"{file}: whole, {found.messages} messages")
