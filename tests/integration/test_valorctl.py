@@ -26,6 +26,7 @@ from tests.bifrost.network import mechanism, ports
 from tests.conftest import REPOSITORY, ROBOTS, wait_until
 from tests.turns import after, known, turns
 from tests.unit.test_ros_domain import homes_that_begin_alike
+from tests.unit.test_valorctl_help import HEAVY, imported
 from valor.common.instance import Instance
 from valor.common.messages import MotionState
 from valor.common.priority import take_turns
@@ -166,6 +167,12 @@ def soon(ctl: Cli) -> None:
     assert best(VALORCTL, "status") < 2.5 * best(sys.executable, "-c", imports)
 
 
+def lean(ctl: Cli) -> None:
+    """It imports nothing that takes longer than looking does."""
+    environment = os.environ | {"VALOR_HOME": str(ctl.home)}
+    assert imported("status", environment=environment) & HEAVY == {"numpy", "rich", "zmq"}
+
+
 def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     old = ctl.home / "default" / "logs" / "old.log"
     old.parent.mkdir(parents=True)
@@ -207,6 +214,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     assert "bifrostd" in ctl("logs", "-n", "300")
     watched(ctl)
     soon(ctl)
+    lean(ctl)
     assert ctl("logs", "bifrostd", "-n", "1").count("\n") == 1
     assert "up already" in ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), status=1)
 

@@ -6,7 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,25 @@ from valor.valorctl import mode_names
 from valor.valorctl.app import app
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
+
+
+HEAVY = frozenset(
+    ("asyncio", "casadi", "daqp", "fpdf", "google", "matplotlib", "mcap", "mujoco", "multiprocessing", "numpy", "PIL",
+     "psutil", "pydantic", "pygments", "rclpy", "rich", "rosbags", "scipy", "yaml", "zmq")
+)  # fmt: skip
+"""What takes longer to import than a person should notice; all of it is there."""
+
+
+def imported(*arguments: str, environment: Mapping[str, str] = os.environ) -> set[str]:
+    """The packages that a run of valorctl imports."""
+    command = [sys.executable, "-X", "importtime", VALORCTL, *arguments]
+    told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stderr
+    return {line.rpartition("|")[2].strip().partition(".")[0] for line in told.splitlines()}
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_who_only_asks_waits_for_no_import(option: str) -> None:
+    assert imported(option) & HEAVY == set()
 
 
 def verbs(group: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -202,9 +202,9 @@ def holding(instance_folder: Path, when: float) -> Path | None:
     written = being_written(instance_folder)
     if written is not None and start_of(written) <= when:
         return written
-    from valor.common import rosbag2_metadata  # reads YAML; whoever only looks need not wait for that
-
     for recording in reversed(look(instance_folder / "bags")):
+        from valor.common import rosbag2_metadata  # reads YAML; whoever only looks need not wait for that
+
         head = rosbag2_metadata.head(recording.folder)
         start = head.start if head else recording.begun
         for path, _, changed in recording.files:

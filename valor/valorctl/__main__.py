@@ -6,6 +6,7 @@ Imports little, for until ``main`` has begun Ctrl-C ends in a traceback.
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -21,7 +22,10 @@ def main() -> int:
     """
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as under nohup
         signal.signal(signal.SIGINT, _end)
-    return run()
+    try:
+        return run()
+    finally:
+        gc.freeze()  # what is left ends with the process: to look through it for cycles takes longer than some verbs
 
 
 def _end(signum: int, _frame: object) -> None:

@@ -47,11 +47,11 @@ def hoist_instance(arguments: list[str]) -> list[str]:
     return hoisted + rest
 
 
-def _finite(_: Any, parameter: Any, value: Any) -> Any:
+def _finite(ctx: Any, parameter: Any, value: Any) -> Any:
     """No number of a command line is infinite or none at all."""
     for number in value if isinstance(value, (list, tuple)) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
-            raise typer.BadParameter(f"{number}: expected a finite number", param_hint=parameter.get_error_hint())
+            raise typer.BadParameter(f"{number}: expected a finite number", ctx=ctx, param=parameter)
     return value
 
 

@@ -97,6 +97,10 @@ def _state(info: ProcessInfo, word: Word | None, now: float) -> tuple[State, str
     return "starting", word.detail
 
 
+def _published(topic: bifrost.TopicInfo | None) -> bool:
+    return topic is not None and bool(topic.publishers)
+
+
 class Listener:
     """Hears the words of an instance's processes. Used from one thread."""
 
@@ -129,12 +133,13 @@ class Listener:
                 said.pid, said.state, said.detail, said.cpu_percent, said.memory_mib, received.stamp * 1e-9
             )
 
-    def may_speak(self, name: str) -> bool:
-        """Whether a word of a process may be on its way: not if the network knows nobody who would say it."""
-        if name not in STATISTICS or not self.node.discovery.registered:
-            return True
-        topic = self.node.graph().topics.get(STATISTICS[name].name)
-        return bool(topic and topic.publishers)
+    def may_speak(self, names: Iterable[str]) -> set[str]:
+        """Those of some processes whose word may be on its way: not where the network knows nobody who would say it."""
+        names = set(names)
+        if not names or not self.node.discovery.registered:
+            return names
+        topics = self.node.graph().topics
+        return {name for name in names if name not in STATISTICS or _published(topics.get(STATISTICS[name].name))}
 
     def _ask_daemon(self) -> None:
         word = self.words.get(DAEMON)

@@ -203,7 +203,7 @@ class Watch:
             words = listener.words
             mute = {n for n, info in infos.items() if info.pid and (n not in words or words[n].pid != info.pid)}
             ready = {n for n, info in infos.items() if info.pid and n not in mute and words[n].state == "ready"}
-            awaited = {name for name in mute if listener.may_speak(name)} | reports.awaited(ready)
+            awaited = listener.may_speak(mute) | reports.awaited(ready)
             if not awaited or time.monotonic() > deadline:
                 break
             listener.listen(0.05, reports.subscribers)
