@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import msgspec
 import yaml
@@ -43,6 +43,7 @@ from walking_actions import (
 
 from valor.analysis.errors import BagError
 from valor.analysis.walk import Figures
+from valor.common.document import Document
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl.walking import Order
@@ -156,7 +157,7 @@ def robot_with(tables: dict[str, dict[str, object]], folder: Path) -> Path:
     if not robot.exists():
         shutil.copytree(ROBOT, robot)
     path = robot / "robot.yaml"
-    content = yaml.safe_load((ROBOT / "robot.yaml").read_text())
+    content: Any = Document.load(ROBOT / "robot.yaml").content
     for table, values in tables.items():
         content[table] = {**content.get(table, {}), **values}
     path.write_text(yaml.safe_dump(content, sort_keys=False))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from valor.common.table import Table, read
+from valor.common.table import Table, TableError, read
 
 FILE = Path(__file__).with_name("control_modes.yaml")
 
@@ -36,11 +36,12 @@ class ControlModeTable(Table):
         known = set(self.modes)
         for name, mode in self.modes.items():
             if unknown := (set(mode.to) | {mode.when_done or name}) - known:
-                raise ValueError(f"modes.{name}: unknown modes {sorted(unknown)}")
+                raise TableError(("modes", name), f"unknown modes {sorted(unknown)}; expected of {sorted(known)}")
             if unknown := set(mode.motion or ()) - set(self.behaviors):
-                raise ValueError(f"modes.{name}: motion: unknown behaviors {sorted(unknown)}")
-        if unknown := (set(self.behaviors.values()) | set(self.emergency_stop)) - known:
-            raise ValueError(f"behaviors or emergency_stop: unknown modes {sorted(unknown)}")
+                raise TableError(("modes", name, "motion"), f"unknown behaviors {sorted(unknown)}")
+        for key, modes in (("behaviors", self.behaviors.values()), ("emergency_stop", self.emergency_stop)):
+            if unknown := set(modes) - known:
+                raise TableError((key,), f"unknown modes {sorted(unknown)}; expected of {sorted(known)}")
 
     @classmethod
     def load(cls, file: Path = FILE) -> ControlModeTable:

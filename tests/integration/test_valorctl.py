@@ -13,7 +13,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -381,26 +381,22 @@ def test_an_interrupted_up_leaves_nothing(ctl: Cli, signum: signal.Signals) -> N
     ctl.assert_nothing_left()
 
 
-def broken_model(ctl: Cli) -> str:
-    """A robot whose model cannot be read."""
-    shutil.copytree(ROBOTS / "escher", ctl.home / "robot")
-    (ctl.home / "robot" / "model.xml").write_text("<mujoco><body/></mujoco>")
-    return str(ctl.home / "robot")
-
-
-def broken_table(ctl: Cli) -> str:
-    """A robot whose table lacks something."""
-    folder = Path(broken_model(ctl))
-    (folder / "robot.yaml").write_text("name: lame\n")
-    return str(folder)
-
-
 @pytest.mark.parametrize(
-    ("robot", "words"),
-    [(broken_model, ["did not start", "_manager", "model.xml"]), (broken_table, ["robot.yaml", "model"])],
+    ("file", "change", "words"),
+    [
+        ("robot.yaml", ("sole: l_sole", "sole: r_sole"), ["robot.yaml:15:", "feet.left.sole"]),
+        ("model.xml", ("<worldbody>", "<worldbody><body/>"), ["model.xml"]),
+        ("get_up.yaml", ("face_down:", "face_up:"), ["motion_manager did not start", "get_up.yaml", "face_up"]),
+    ],
 )
-def test_a_failed_up_says_why_and_leaves_nothing(ctl: Cli, robot: Callable[[Cli], str], words: list[str]) -> None:
-    told = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--robot", robot(ctl), status=1)
+def test_a_failed_up_says_why_and_leaves_nothing(
+    ctl: Cli, file: str, change: tuple[str, str], words: list[str]
+) -> None:
+    """What ``up`` sees by itself starts nothing; what a service sees ends it."""
+    shutil.copytree(ROBOTS / "escher", ctl.home / "robot")
+    broken = ctl.home / "robot" / file
+    broken.write_text(broken.read_text().replace(*change))
+    told = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--robot", str(ctl.home / "robot"), status=1)
     for word in words:
         assert word in told
     ctl.assert_nothing_left()

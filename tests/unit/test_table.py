@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +20,10 @@ class Joint(Table):
     limit: Positive
     gains: dict[str, NonNegative] = field(default_factory=dict)
     mode: Literal["force", "position"] = "force"
+
+    def __post_init__(self) -> None:
+        if self.mode == "force" and self.limit > 50:
+            raise TableError(("limit",), "too much for force")
 
 
 class Lidar(Table, tag_field="kind", tag="lidar"):
@@ -40,7 +45,7 @@ class Robot(Table, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.name in self.joints:
-            raise ValueError(f"name: {self.name} is a joint's")
+            raise TableError(("name",), f"{self.name} is a joint's")
 
 
 KNEE, HIP = {"limit": 12}, {"limit": 9.5, "gains": {"p": 1}}
@@ -62,21 +67,27 @@ def test_values_are_taken_as_their_types_and_given_back() -> None:
 @pytest.mark.parametrize(
     ("change", "key", "what"),
     [
-        ({"joints": {"hip": HIP, "knee": {"limit": 0}}}, "joints.knee.limit", "expected float > 0.0"),
-        ({"joints": {"hip": HIP, "knee": {"limit": "12"}}}, "joints.knee.limit", "expected float, got str"),
-        ({"joints": {"hip": HIP, "knee": {"limit": True}}}, "joints.knee.limit", "expected float, got bool"),
+        ({"joints": {"hip": HIP, "knee": {"limit": 0}}}, "joints.knee.limit", "expected float > 0.0, got 0"),
+        ({"joints": {"hip": HIP, "knee": {"limit": "12"}}}, "joints.knee.limit", "expected float, got '12'"),
+        ({"joints": {"hip": HIP, "knee": {"limit": True}}}, "joints.knee.limit", "expected float, got True"),
         ({"joints": {"hip": HIP, "knee": {}}}, "joints.knee.limit", "expected, but missing"),
         ({"joints": {"hip": HIP, "knee": None}}, "joints.knee", "expected a mapping, got nothing"),
         ({"joints": {"hip": HIP, "knee": KNEE | {"toe": 1}}}, "joints.knee.toe", "unknown key"),
-        ({"joints": {"hip": HIP | {"gains": {"p": 1, "d": -1}}}}, "joints.hip.gains.d", "expected float >= 0.0"),
+        ({"joints": {"knee": KNEE | {"gain": 1}}}, "joints.knee.gain", "unknown key; did you mean 'gains'?"),
+        (
+            {"joints": {"hip": HIP | {"gains": {"p": 1, "d": -1}}}},
+            "joints.hip.gains.d",
+            "expected float >= 0.0, got -1",
+        ),
         ({"joints": {"knee": KNEE | {"mode": "magic"}}}, "joints.knee.mode", "expected force or position, got 'magic'"),
         ({"joints": {"knee": {"limit": math.nan}}}, "joints.knee.limit", "expected a finite number, got nan"),
-        ({"spare": [KNEE, {"limit": -1}]}, "spare.1.limit", "expected float > 0.0"),
+        ({"spare": [KNEE, {"limit": -1}]}, "spare.1.limit", "expected float > 0.0, got -1"),
         ({"spare": KNEE}, "spare", "expected a list, got a mapping"),
         ({"sides": {"left": 1, "up": 2}}, "sides", "expected left or right, got 'up'"),
         ({"drive": "steam"}, "drive", "expected harmonic or sea, got 'steam'"),
         ({"folder": 7}, "folder", "expected a path, got 7"),
-        ({"name": "knee"}, "", "name: knee is a joint's"),
+        ({"name": "knee"}, "name", "knee is a joint's"),
+        ({"spare": [KNEE, KNEE | {"mode": "force", "limit": 99}]}, "spare.1.limit", "too much for force"),
         ({"arms": 2}, "arms", "unknown key"),
         (
             {"devices": {"a": {"kind": "camera"}, "b": {"kind": "sonar"}}},
@@ -87,7 +98,7 @@ def test_values_are_taken_as_their_types_and_given_back() -> None:
         (
             {"devices": {"a": {"kind": "camera"}, "b": {"kind": "lidar", "rate": 0}}},
             "devices.b.rate",
-            "expected float > 0.0",
+            "expected float > 0.0, got 0",
         ),
     ],
 )
@@ -117,12 +128,19 @@ def test_nonsense_is_a_table_or_an_error_and_never_anything_else(content: object
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [(b"{", "not YAML"), (b"\xff\xfe\xff", "expected text"), (b"joints: 3", "joints: expected a mapping, got int")],
+    [
+        (b"{", ":2:1: (whole file): not YAML"),
+        (b"name: escher\n\xff", ":2: expected text in UTF-8, got byte 0xff"),
+        (b"name: escher\njoints: 3", ":2:1: joints: expected a mapping, got 3"),
+        (b"joints: {hip: {limit: 2, mode: slow}}", ":1:26: joints.hip.mode: expected force or position, got 'slow'"),
+        (b"joints: {}\nspare:\n  - limit: 1\n  - mode: force", ":4:5: spare.1.limit: expected, but missing"),
+        (b"name: knee\njoints: {knee: {limit: 1}}", ":1:1: name: knee is a joint's"),
+    ],
 )
 def test_a_file_that_cannot_be_read_is_named_in_one_line(tmp_path: Path, text: bytes, words: str) -> None:
     file = tmp_path / "robot.yaml"
     file.write_bytes(text)
     for wrong, told in ((file, words), (tmp_path / "none.yaml", "No such file")):
-        with pytest.raises(ConfigurationError, match=told) as refused:
+        with pytest.raises(ConfigurationError, match=re.escape(told)) as refused:
             read(Robot, wrong)
         assert str(wrong) in str(refused.value) and "\n" not in str(refused.value)

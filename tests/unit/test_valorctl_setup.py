@@ -97,7 +97,9 @@ def test_every_process_of_a_profile_starts_some_time(profile: str) -> None:
 
 
 def test_processes_for_devices_that_the_robot_does_not_have_are_left_out() -> None:
-    profile = Profile(description="", processes=("bifrostd", "hdt_driver", "hdt_bridge", "comms_manager"))
+    profile = Profile(
+        description="", variant="hardware", processes=("bifrostd", "hdt_driver", "hdt_bridge", "comms_manager")
+    )
     escher = RobotDescription.load(resources.robot_folder("escher"))
     assert profile.suiting(escher).processes == profile.processes
     tables = msgspec.structs.replace(escher.tables, devices={})

@@ -87,11 +87,11 @@ def test_a_goal_that_cannot_be_is_refused(goal: tuple[float, float, float]) -> N
     ("text", "error"),
     [
         ("steps: []", "steps: expected a list of length >= 1"),
-        ("{", "plan.yaml: "),
+        ("{", "plan.yaml:2:1: "),
         ("steps: [{foot: middle, x: 0, y: 0}]", "steps.0.foot: expected left or right, got 'middle'"),
         ("steps: [{foot: left, x: .nan, y: 0}]", "steps.0.x: expected a finite number, got nan"),
         ("steps: [{foot: left, x: 0, y: 0, toe: 1}]", "steps.0.toe: unknown key"),
-        ("12", "(whole file): expected a mapping, got int"),
+        ("12", "(whole file): expected a mapping, got 12"),
     ],
 )
 def test_a_broken_file_is_refused_in_one_line(tmp_path: Path, text: str, error: str) -> None:

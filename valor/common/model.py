@@ -86,11 +86,16 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
     if spec.compiler.degree:
         raise ConfigurationError(f"{file}: compiler.angle: expected radian, as in robot.yaml")
     free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    if len(free) != 1 or free[0].parent.name != robot.tables.base:
-        raise ConfigurationError(f"{file}: expected one free joint, that of the body {robot.tables.base!r}")
+    if len(free) != 1:
+        raise ConfigurationError(f"{file}: {len(free)} free joints; expected one, the base's")
+    if (base := free[0].parent.name) != robot.tables.base:
+        raise robot.error(["base"], f"got {robot.tables.base!r}; expected {base!r}, which has the free joint")
     actuated = {joint.name: joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
-    if odd := set(actuated) ^ set(robot.joints):
-        raise ConfigurationError(f"{file}: joints: expected those of robot.yaml; in one of both only: {sorted(odd)}")
+    for name in robot.joints:
+        if name not in actuated:
+            raise robot.error(["joints", name], f"expected a hinge of {file.name}")
+    if missing := set(actuated) - set(robot.joints):
+        raise robot.error(["joints"], f"expected all hinges of {file.name}; missing: {', '.join(sorted(missing))}")
     for name, table in robot.tables.joints.items():
         joint = actuated[name]
         joint.armature = table.armature
@@ -113,10 +118,6 @@ def controller_model(robot: RobotDescription) -> Model:
     """
     spec = robot_spec(robot, "collision")
     apart = {body for pair in robot.tables.self_collision.pairs for body in pair}
-    if missing := apart - {body.name for body in spec.bodies}:
-        raise ConfigurationError(
-            f"{robot.model_file}: no body {sorted(missing)[0]!r}, which robot.yaml names in self_collision.pairs"
-        )
     for geom in list(spec.geoms):
         if geom.parent.name not in apart:
             spec.delete(geom)
@@ -124,12 +125,19 @@ def controller_model(robot: RobotDescription) -> Model:
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:
             _weld(spec, joint, robot.tables.nominal_posture.get(joint.name, 0.0))
-    return Model(robot, spec.compile())
+    return Model(robot, _compiled(robot, spec))
 
 
 def full_model(robot: RobotDescription, shapes: Shapes = "none") -> Model:
     """The nominal model with every joint, for kinematics, tf and pictures."""
-    return Model(robot, robot_spec(robot, shapes).compile())
+    return Model(robot, _compiled(robot, robot_spec(robot, shapes)))
+
+
+def _compiled(robot: RobotDescription, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ConfigurationError(f"{robot.model_file}: {' '.join(str(error).split())}") from None
 
 
 def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
@@ -149,33 +157,32 @@ def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
 
 def _check_names(robot: RobotDescription, spec: mujoco.MjSpec) -> None:
     """Every body and site that robot.yaml names is in the model."""
-    tables = robot.tables
+    tables, model = robot.tables, robot.tables.model
     bodies, sites = {body.name for body in spec.bodies}, {site.name for site in spec.sites}
-    for key, name in (
-        ("base", tables.base),
-        ("chest", tables.chest),
-        ("head", tables.head),
-        ("feet.left.body", tables.feet.left.body),
-        ("feet.right.body", tables.feet.right.body),
-        ("hands.left.body", tables.hands.left.body),
-        ("hands.right.body", tables.hands.right.body),
+    limbs = [(limb, side) for limb in ("feet", "hands") for side in ("left", "right")]
+    named_bodies: list[tuple[tuple[str, ...], str]] = [
+        *(((key,), getattr(tables, key)) for key in ("base", "chest", "head")),
+        *(((limb, side, "body"), getattr(getattr(tables, limb), side).body) for limb, side in limbs),
+        *(
+            (("self_collision", "pairs", str(i)), body)
+            for i, pair in enumerate(tables.self_collision.pairs)
+            for body in pair
+        ),
+    ]
+    named_sites: list[tuple[tuple[str, ...], str]] = [
+        (("imu", "site"), tables.imu.site),
+        *((("feet", side, "sole"), getattr(tables.feet, side).sole) for side in ("left", "right")),
+        *((("hands", side, "site"), getattr(tables.hands, side).site) for side in ("left", "right")),
+    ]
+    named_frames = [(("link_frames", frame), name) for frame, name in tables.link_frames.items()]
+    for what, known, named in (
+        ("body", bodies, named_bodies),
+        ("site", sites, named_sites),
+        ("body or site", bodies | sites, named_frames),
     ):
-        if name not in bodies:
-            raise ConfigurationError(f"{robot.model_file}: no body {name!r}, which robot.yaml names as {key}")
-    for key, name in (
-        ("imu.site", tables.imu.site),
-        ("feet.left.sole", tables.feet.left.sole),
-        ("feet.right.sole", tables.feet.right.sole),
-        ("hands.left.site", tables.hands.left.site),
-        ("hands.right.site", tables.hands.right.site),
-    ):
-        if name not in sites:
-            raise ConfigurationError(f"{robot.model_file}: no site {name!r}, which robot.yaml names as {key}")
-    for frame, name in tables.link_frames.items():
-        if name not in bodies | sites:
-            raise ConfigurationError(
-                f"{robot.model_file}: no body or site {name!r}, which robot.yaml names as link_frames.{frame}"
-            )
+        for path, name in named:
+            if name not in known:
+                raise robot.error(path, f"got {name!r}; expected a {what} of {model}")
 
 
 def _indices(places: Iterable[int]) -> Indices:

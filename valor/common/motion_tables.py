@@ -6,17 +6,18 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from valor.common.table import NonNegative, Positive, Table
+from valor.common.table import NonNegative, Positive, Table, require_order
 
 
 class FallDetection(Table):
     """When the robot is lost."""
 
-    tilt: Positive  # of the pelvis from upright [rad]
-    height: Positive  # of the pelvis above the lower sole, as a fraction of its nominal height
-    dcm_margin: Positive  # of the DCM outside the support polygon [m]
-    dcm_margin_stepping: Positive = 0.1  # likewise of that after the step that is being taken: the next may save it [m]
-    dcm_duration: NonNegative = 0.02  # for which it must be outside by more [s]
+    tilt: Annotated[float, Meta(gt=0, lt=1.57)]  # of the pelvis from upright [rad]
+    height: Annotated[float, Meta(ge=0.2, lt=1)]  # of the pelvis above the lower sole, as a share of the nominal one
+    dcm_margin: Annotated[float, Meta(gt=0, le=0.3)]  # of the DCM outside the support polygon [m]
+    # Likewise of that after the step that is being taken: the next may save it [m].
+    dcm_margin_stepping: Annotated[float, Meta(gt=0, le=0.5)] = 0.1
+    dcm_duration: Annotated[float, Meta(ge=0, le=0.5)] = 0.02  # for which it must be outside by more [s]
 
 
 class Footsteps(Table):
@@ -40,9 +41,7 @@ class Footsteps(Table):
 
     def __post_init__(self) -> None:
         for what in ("width", "swing_duration", "transfer_duration"):
-            low, high = getattr(self, f"min_{what}"), getattr(self, f"max_{what}")
-            if low >= high:
-                raise ValueError(f"min_{what} {low} must be below max_{what} {high}")
+            require_order(self, f"min_{what}", f"max_{what}")
 
 
 class WholeBody(Table):
@@ -165,6 +164,10 @@ class GainLimits(Table):
     min_damping: NonNegative = 0.5
     max_damping: Positive = 1.25
 
+    def __post_init__(self) -> None:
+        require_order(self, "min_stiffness", "max_stiffness")
+        require_order(self, "min_damping", "max_damping")
+
 
 class HandMotion(Table):
     """How fast the hands go to Cartesian goals."""
@@ -184,8 +187,7 @@ class SelfCollision(Table):
     response: Positive = 50.0  # deceleration per velocity above what is allowed [1/s]
 
     def __post_init__(self) -> None:
-        if self.distance >= self.near:
-            raise ValueError(f"distance {self.distance} must be below near {self.near}")
+        require_order(self, "distance", "near")
 
 
 class Estimator(Table):
@@ -212,3 +214,6 @@ class Estimator(Table):
     hang_time_constant: Positive = 0.3  # in which velocity fades without contact [s]
     contact_on: Positive = 0.08  # of the robot's weight: a foot in contact from here
     contact_off: Positive = 0.04  # until here
+
+    def __post_init__(self) -> None:
+        require_order(self, "contact_off", "contact_on")

@@ -7,6 +7,7 @@ Limits live in ``robot.yaml`` and are written into the models from there, so tha
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
@@ -14,11 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
+from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.robot_tables import RobotTables
 from valor.common.table import read
 
 FloatVector = npt.NDArray[np.float64]
+_PERIOD_TOLERANCE = 1e-9  # [s]
 
 
 class RobotDescription:
@@ -50,11 +53,23 @@ class RobotDescription:
         if not file.is_file():
             raise ConfigurationError(f"{file}: no such file; expected a robot's folder with robot.yaml")
         tables = read(RobotTables, file)
-        if not (folder / tables.model).is_file():
-            raise ConfigurationError(f"{file}: model: no file {folder / tables.model}")
-        if control_rate is not None:
-            tables = structs.replace(tables, control_rate=control_rate)
-        return cls(folder, tables)
+        robot = cls(folder, tables)
+        if not robot.model_file.is_file():
+            raise robot.error(["model"], f"no file {robot.model_file}")
+        return robot if control_rate is None else cls(folder, structs.replace(tables, control_rate=control_rate))
+
+    def error(self, path: Iterable[str], what: str) -> ConfigurationError:
+        """One line that says what is wrong with a key of robot.yaml, and where it stands there."""
+        keys = tuple(path)
+        try:
+            return Document.load(self.file).error(keys, what)
+        except ConfigurationError:  # tables that were made otherwise
+            return ConfigurationError(f"{self.file}: {'.'.join(keys)}: {what}")
+
+    @property
+    def file(self) -> Path:
+        """robot.yaml."""
+        return self.folder / "robot.yaml"
 
     @property
     def name(self) -> str:
@@ -70,6 +85,19 @@ class RobotDescription:
     def control_period(self) -> float:
         """[s]."""
         return 1.0 / self.tables.control_rate
+
+    def physics_steps(self) -> int:
+        """Of a simulation, in a control period.
+
+        Raises:
+            ConfigurationError: they are no whole number.
+        """
+        period, step = self.control_period, self.tables.physics_step
+        steps = round(period / step)
+        if steps < 1 or abs(steps * step - period) > _PERIOD_TOLERANCE:
+            what = f"got {step:g} s; expected a whole number of them in a control period of {period:g} s"
+            raise self.error(["physics_step"], what)
+        return steps
 
     @cached_property
     def index(self) -> dict[str, int]:

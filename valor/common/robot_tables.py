@@ -19,7 +19,13 @@ from valor.common.motion_tables import (
     Walking,
     WholeBody,
 )
-from valor.common.table import NonNegative, Positive, Table
+from valor.common.robot_rules import RULES
+from valor.common.table import NonNegative, Positive, Table, TableError, require_order
+
+Turn = Annotated[float, Meta(ge=-13, le=13)]
+"""Two turns either way [rad]: more is in degrees."""
+Share = Annotated[float, Meta(ge=0, lt=1)]
+Lag = Annotated[float, Meta(ge=0, le=0.1)]  # [s]
 
 
 class Servo(Table):
@@ -32,10 +38,10 @@ class Servo(Table):
 class Joint(Table, kw_only=True):
     """One actuated joint. ``lower`` and ``upper`` are absent where it turns without end."""
 
-    lower: float | None = None  # [rad]
-    upper: float | None = None  # [rad]
-    velocity: Positive  # limit [rad/s]
-    effort: Positive  # limit [N·m]
+    lower: Turn | None = None  # [rad]
+    upper: Turn | None = None  # [rad]
+    velocity: Annotated[float, Meta(gt=0, le=100)]  # limit [rad/s]
+    effort: Annotated[float, Meta(gt=0, le=5000)]  # limit [N·m]
     control: Literal["force", "impedance", "position"]  # how the Motion Manager drives it in operation
     servo: Servo  # used in Idle, Stand Prep, Freeze, and in operation where control is not force
     armature: NonNegative = 0.0  # rotor inertia seen at the joint [kg·m²]
@@ -43,9 +49,9 @@ class Joint(Table, kw_only=True):
 
     def __post_init__(self) -> None:
         if (self.lower is None) != (self.upper is None):
-            raise ValueError("give both lower and upper, or neither")
-        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
-            raise ValueError(f"lower {self.lower} must be below upper {self.upper}")
+            raise TableError((), "expected both lower and upper, or neither; got one of them")
+        if self.lower is not None:
+            require_order(self, "lower", "upper")
 
 
 class Foot(Table):
@@ -56,6 +62,9 @@ class Foot(Table):
     heel: float  # x of the sole's back edge in the sole's frame [m]
     toe: float  # x of the front edge [m]
     half_width: Positive  # [m]
+
+    def __post_init__(self) -> None:
+        require_order(self, "heel", "toe")
 
 
 class Hand(Table):
@@ -79,6 +88,9 @@ class Hands(Table):
     right: Hand
     contact_on: Positive = 15.0  # force from which a hand counts as touching something [N]
     contact_off: Positive = 8.0  # until here
+
+    def __post_init__(self) -> None:
+        require_order(self, "contact_off", "contact_on")
 
 
 class Imu(Table):
@@ -114,15 +126,18 @@ class Gear(Table):
 class ActuatorProfile(Table):
     """How far the simulated plant is from the controller's model."""
 
-    mass_error: NonNegative = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
+    mass_error: Share = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
     friction: NonNegative = 0.0  # Coulomb friction of every joint [N·m], at most friction_share of its effort limit
-    friction_share: NonNegative = 0.02  # so that fingers and neck are not stuck in a leg's friction
-    torque_lag: NonNegative = 0.0  # time constant of the torque's first-order lag [s]
-    delay: NonNegative = 0.0  # of commands [s]
+    friction_share: Share = 0.02  # so that fingers and neck are not stuck in a leg's friction
+    torque_lag: Lag = 0.0  # time constant of the torque's first-order lag [s]
+    delay: Lag = 0.0  # of commands [s]
     backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
     gears: dict[str, Gear] = {}  # of joints and groups; a joint's own goes first
     noise: SensorNoise = SensorNoise()
 
+
+ControlRate = Annotated[float, Meta(ge=100, le=1000)]
+"""[Hz]. Undisturbed and without delays ESCHER still stands at 25 Hz, and falls at 10: this leaves room for both."""
 
 Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
 """Name of a posture → side → joint → position."""
@@ -133,8 +148,8 @@ class RobotTables(Table, kw_only=True):
 
     name: str
     model: str  # MJCF file in the robot's folder
-    control_rate: Positive  # [Hz]
-    physics_step: Positive  # of the simulation [s]
+    control_rate: ControlRate  # [Hz]
+    physics_step: Annotated[float, Meta(ge=1e-4, le=0.005)]  # of the simulation; contacts bear no longer one [s]
     base: str  # the floating body, the pelvis
     chest: str  # the body that pushes act on and whose orientation is held
     head: str
@@ -165,43 +180,13 @@ class RobotTables(Table, kw_only=True):
     supply: SupplyLimits = SupplyLimits()
 
     def __post_init__(self) -> None:
-        known = set(self.joints)
-        for group, members in self.groups.items():
-            if missing := set(members) - known:
-                raise ValueError(f"groups.{group}: unknown joints {sorted(missing)}")
-        if missing := set(self.nominal_posture) - known:
-            raise ValueError(f"nominal_posture: unknown joints {sorted(missing)}")
-        for profile, actuators in self.actuators.items():
-            if missing := set(actuators.gears) - known - set(self.groups):
-                raise ValueError(f"actuators.{profile}.gears: neither joints nor groups: {sorted(missing)}")
-        for limb, presets in (("arm", self.arm_presets), ("hand", self.hand_presets)):
-            for preset, sides in presets.items():
-                for side, posture in sides.items():
-                    if missing := set(posture) - set(self.groups[f"{side}_{limb}"]):
-                        where = f"{limb}_presets.{preset}.{side}"
-                        raise ValueError(f"{where}: not joints of the {side} {limb}: {sorted(missing)}")
-        for key, table in (("offsets", self.calibration.offsets), ("pose", self.calibration.pose)):
-            if missing := set(table) - known:
-                raise ValueError(f"calibration.{key}: unknown joints {sorted(missing)}")
-        self._each_joint_once()
+        for rule in RULES:
+            for broken in rule(self):
+                raise broken
 
     def device_joints(self, name: str) -> list[str]:
         """The joints that a device moves, in its units' order."""
         device = self.devices[name]
         if not isinstance(device, HdtBifrost):
             return device.joints
-        for limb in device.limbs:
-            if limb.group not in self.groups:
-                raise ValueError(f"devices.{name}: unknown group {limb.group}")
         return [joint for limb in device.limbs for joint in self.groups[limb.group]]
-
-    def _each_joint_once(self) -> None:
-        """Raise ``ValueError`` unless each joint that a device moves is known, and moved by no other."""
-        owner: dict[str, str] = {}
-        for name in self.devices:
-            for joint in self.device_joints(name):
-                if joint not in self.joints:
-                    raise ValueError(f"devices.{name}: unknown joint {joint}")
-                if joint in owner:
-                    raise ValueError(f"devices.{name}: joint {joint} is moved by {owner[joint]} already")
-                owner[joint] = name

@@ -9,13 +9,11 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
 import msgspec.inspect
-
-from valor.common.errors import ConfigurationError
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
@@ -39,25 +37,28 @@ class _TableMeta(msgspec.StructMeta):
 class Table(msgspec.Struct, metaclass=_TableMeta, frozen=True, forbid_unknown_fields=True):
     """A part of a file: unknown keys are errors, numbers are finite, values are fixed once read.
 
-    Rules that hold between values stand in ``__post_init__``, which raises ``ValueError``.
+    Rules that hold between values stand in ``__post_init__``, which raises ``TableError`` with the path from the table.
     """
 
 
 T = TypeVar("T", bound=Table)
+_LONGEST = 40  # value that a complaint repeats
 
 
 class TableError(ValueError):
     """A value that its table does not allow.
 
     Attributes:
-        key: its place, as ``joints.l_knee_pitch.velocity``; empty: the whole.
-        what: was expected there.
+        path: keys, and places in lists, that lead to it; empty: the whole.
+        key: the same as one text: ``joints.l_knee_pitch.velocity``.
+        what: was found, and was expected there.
     """
 
-    def __init__(self, key: str, what: str) -> None:
-        super().__init__(f"{key or '(whole file)'}: {what}")
-        self.key = key
+    def __init__(self, path: Sequence[str], what: str) -> None:
+        self.path = tuple(path)
+        self.key = ".".join(self.path)
         self.what = what
+        super().__init__(f"{self.key or '(whole file)'}: {what}")
 
 
 def checked(kind: type[T], content: object) -> T:
@@ -66,12 +67,19 @@ def checked(kind: type[T], content: object) -> T:
     Raises:
         TableError: names the first key that is wrong.
     """
-    for keys, number in _infinite(content):
-        raise TableError(keys, f"expected a finite number, got {number}")
+    for path, number in _infinite(content):
+        raise TableError(path, f"expected a finite number, got {number}")
     try:
         return msgspec.convert(content, kind, dec_hook=_other_type)
     except msgspec.ValidationError as error:
-        raise _explained(kind, content, str(error)) from None
+        raise _explained(kind, content, error) from None
+
+
+def require_order(table: Table, lower: str, upper: str) -> None:
+    """Raise ``TableError`` unless one number of a table is less than another."""
+    one, other = getattr(table, lower), getattr(table, upper)
+    if one >= other:
+        raise TableError((lower,), f"got {one}; expected less than {upper}, {other}")
 
 
 def plain(table: Table) -> dict[str, Any]:
@@ -84,30 +92,25 @@ def read(kind: type[T], file: Path) -> T:
     """Make a table of a YAML file.
 
     Raises:
-        ConfigurationError: the file or a key is missing or wrong; in one line that names both.
+        ConfigurationError: the file or a key is missing or wrong; in one line with file, line, column and key.
     """
-    import yaml  # not for those who take tables of JSON alone
+    from valor.common.document import Document  # with a YAML reader: not for those who take tables of JSON alone
 
+    document = Document.load(file)
     try:
-        return checked(kind, yaml.safe_load(file.read_text()))
-    except OSError as error:
-        raise ConfigurationError(f"{file}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{file}: expected text") from None
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{file}: not YAML: {' '.join(str(error).split())}") from None
+        return checked(kind, document.content)
     except TableError as error:
-        raise ConfigurationError(f"{file}: {error}") from None
+        raise document.error(error.path, error.what) from None
 
 
-def _infinite(content: object, path: str = "") -> Iterator[tuple[str, float]]:
+def _infinite(content: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], float]]:
     """Numbers that are none, and where."""
     if isinstance(content, float):
         if not math.isfinite(content):
             yield path, content
     elif isinstance(content, dict | list):
         for key, value in content.items() if isinstance(content, dict) else enumerate(content):
-            yield from _infinite(value, f"{path}.{key}" if path else str(key))
+            yield from _infinite(value, (*path, str(key)))
 
 
 def _other_type(kind: type, value: object) -> object:
@@ -117,20 +120,30 @@ def _other_type(kind: type, value: object) -> object:
     raise TypeError(f"expected a {kind.__name__.lower()}, got {value!r}")
 
 
-def _explained(kind: type[Table], content: object, complaint: str) -> TableError:
+def _explained(kind: type[Table], content: object, error: msgspec.ValidationError) -> TableError:
     """Msgspec's complaint in our words, with all keys named."""
+    complaint = str(error)
     match = _PLACE.fullmatch(complaint)
     assert match is not None  # all of it is optional
     parts = [name or index for name, index in _PART.findall(match["path"] or "")]
     keys = _keys(kind, content, complaint, parts)
+    if isinstance(rule := error.__cause__, TableError):
+        return TableError([*keys, *rule.path], rule.what)
     what: str = match["what"]
     if field := _FIELD.fullmatch(what):
         keys.append(field[2])
         what = "expected, but missing" if field[1] == "missing required" else "unknown key"
+        if field[1] != "missing required":
+            import difflib
+
+            known = [each.encode_name for struct in _types(kind, parts) for each in getattr(struct, "fields", ())]
+            what += "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(field[2], known, n=1))
     elif value := _CHOICE.fullmatch(what):
-        choices = _choices(msgspec.inspect.type_info(kind), parts, bool(match["of_key"]))
+        choices = _choices(kind, parts, bool(match["of_key"]))
         what = f"expected {' or '.join(sorted(map(str, choices)))}, got {value[1]}"
-    return TableError(".".join(keys), _JSON.sub(lambda word: _WORDS.get(word[1], word[1]), what))
+    else:
+        what = _with_value(what, content, keys)
+    return TableError(keys, _JSON.sub(lambda word: _WORDS.get(word[1], word[1]), what))
 
 
 def _keys(kind: type[Table], content: object, complaint: str, parts: list[str]) -> list[str]:
@@ -157,22 +170,48 @@ def _keys(kind: type[Table], content: object, complaint: str, parts: list[str]) 
     return keys
 
 
-def _choices(kind: Any, parts: list[str], of_key: bool) -> tuple[Any, ...]:
+def _with_value(what: str, content: Any, path: Sequence[str]) -> str:
+    """The complaint with the value that it is about, if that is short."""
+    for key in path:
+        content = content[int(key) if isinstance(content, list) else key]
+    if not isinstance(content, str | int | float):
+        return what
+    text = repr(content)
+    return f"{what.partition(', got ')[0]}, got {text if len(text) <= _LONGEST else text[:_LONGEST] + '…'}"
+
+
+def _choices(kind: type[Table], parts: Sequence[str], of_key: bool) -> Iterator[Any]:
     """The values that are allowed at a place, or of a mapping's keys."""
-    if isinstance(kind, msgspec.inspect.Metadata):
-        return _choices(kind.type, parts, of_key)
-    if isinstance(kind, msgspec.inspect.UnionType):
-        return tuple(choice for one in kind.types for choice in _choices(one, parts, of_key))
-    if not parts:
-        found = getattr(kind, "key_type", None) if of_key else kind
-        return found.values if isinstance(found, msgspec.inspect.LiteralType) else ()
+    for found in _types(kind, parts):
+        literal = getattr(found, "key_type", None) if of_key else found
+        if isinstance(literal, msgspec.inspect.LiteralType):
+            yield from literal.values
+
+
+def _types(kind: type[Table], parts: Sequence[str]) -> list[Any]:
+    """What may stand at a place; ``parts`` lead there."""
+    found: list[Any] = _alternatives(msgspec.inspect.type_info(kind))
+    for part in parts:
+        found = [each for outer in found for inner in _parts(outer, part) for each in _alternatives(inner)]
+    return found
+
+
+def _parts(kind: Any, part: str) -> Iterator[Any]:
     if isinstance(kind, msgspec.inspect.StructType):
-        if kind.tag_field == parts[0]:
-            return (kind.tag,)
-        inner = next((field.type for field in kind.fields if field.encode_name == parts[0]), None)
-    else:
-        inner = getattr(kind, "value_type", None) or getattr(kind, "item_type", None)
-    return _choices(inner, parts[1:], of_key)
+        if kind.tag_field == part:
+            yield msgspec.inspect.LiteralType((kind.tag,))
+        yield from (field.type for field in kind.fields if field.encode_name == part)
+    elif inner := getattr(kind, "value_type", None) or getattr(kind, "item_type", None):
+        yield inner
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    """The types of a union; no constraints."""
+    if isinstance(kind, msgspec.inspect.Metadata):
+        return _alternatives(kind.type)
+    if isinstance(kind, msgspec.inspect.UnionType):
+        return [each for one in kind.types for each in _alternatives(one)]
+    return [kind]
 
 
 def _complaint(kind: type[Table], content: object) -> str:

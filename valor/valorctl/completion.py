@@ -141,8 +141,7 @@ def _settings(ctx: typer.Context) -> Settings:
 
 def _table(folder: Path) -> dict[str, Iterable[str]]:
     """A robot's table, unchecked: the check takes longer than a finger on the Tab key."""
-    import yaml
+    from valor.common.document import Document
 
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    content: dict[str, Iterable[str]] = yaml.load((folder / "robot.yaml").read_text(), Loader=loader)
+    content: dict[str, Iterable[str]] = Document.load(folder / "robot.yaml").content  # type: ignore[assignment]
     return content

@@ -64,7 +64,8 @@ def plan(request: Request) -> Plan:
     """
     profile = Profile.load(profile_file(request.profile))
     defaults = profile.defaults
-    robot = RobotDescription.load(robot_folder(request.robot or defaults.robot))
+    robot = RobotDescription.load(robot_folder(request.robot or defaults.robot), profile.control_rate)
+    _check(robot, profile)
     settings = Settings(
         profile=request.profile,
         variant=profile.variant,
@@ -82,10 +83,6 @@ def plan(request: Request) -> Plan:
     )
     require_one_of("--actuators", settings.actuators, robot.tables.actuators)
     require_one_of("--world", settings.world, WORLD_NAMES)
-    if profile.variant == "hardware" and not robot.tables.devices:
-        raise ConfigurationError(
-            f"{robot.folder / 'robot.yaml'}: devices: none; expected those of the robot (profile {request.profile})"
-        )
     if request.no_bag:
         _expect_no_bag_options(request)
         profile = profile.without(RECORDER)
@@ -97,6 +94,19 @@ def plan(request: Request) -> Plan:
     if initial_mode:
         require_one_of("--initial-mode", initial_mode, mode_names.initial())
     return Plan(profile.suiting(robot), settings, initial_mode or None)
+
+
+def _check(robot: RobotDescription, profile: Profile) -> None:
+    """A robot that somebody is to move must be one that can stand, and a simulation keeps its periods."""
+    if not {"comms_manager", "motion_manager"}.intersection(profile.processes):
+        return
+    from valor.common import robot_checks  # with MuJoCo: a fifth of a second
+
+    robot_checks.require_sound(robot)
+    if profile.variant == "simulation":
+        robot.physics_steps()
+    elif not robot.tables.devices:
+        raise robot.error(["devices"], "none; expected those of the robot, for a profile on hardware")
 
 
 def _bag(file: Path | None) -> Path | None:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import valor
-from valor.common.errors import ConfigurationError
 
 FILE = Path(valor.__file__).parent / "valor_ros_controller" / "control_modes.yaml"
 PREPARING = "stand_prep"  # the mode that the robot comes up in, until it is in its posture
@@ -31,10 +30,11 @@ def initial() -> list[str]:
 
 
 def _modes() -> dict[str, dict[str, Any]]:
-    import yaml
+    from valor.common.document import Document
 
+    document = Document.load(FILE)
     try:
-        modes: dict[str, dict[str, Any]] = yaml.safe_load(FILE.read_text())["modes"]
-    except (OSError, yaml.YAMLError, KeyError) as error:
-        raise ConfigurationError(f"{FILE}: {' '.join(str(error).split())}") from None
+        modes: dict[str, dict[str, Any]] = document.content["modes"]  # type: ignore[index]
+    except (KeyError, TypeError):
+        raise document.error(["modes"], "expected, but missing") from None
     return modes

@@ -7,13 +7,16 @@ from typing import Annotated
 
 from msgspec import Meta, field, structs
 
-from valor.common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError, expected
 from valor.common.instance import ClockMode, Variant
 from valor.common.processes import BY_NAME, Process
 from valor.common.retention import Bounds
 from valor.common.robot import RobotDescription
-from valor.common.table import NonNegative, Table, read
-from valor.valorctl import recording_options
+from valor.common.robot_tables import ControlRate
+from valor.common.table import NonNegative, Table, TableError, read
+from valor.valorctl import mode_names, recording_options
+
+MODES = "valor_ros_controller"  # the process that knows control modes
 
 
 class Defaults(Table):
@@ -33,7 +36,7 @@ class Profile(Table, kw_only=True):
 
     description: str
     variant: Variant = "simulation"  # what the Comms Manager runs on
-    control_rate: Annotated[float, Meta(gt=0, le=1000)] | None = None  # instead of the robot's own [Hz]
+    control_rate: ControlRate | None = None  # instead of the robot's own [Hz]
     # Of devices, where they are not the emulators' (valor/common/devices/ports.py).
     ports: dict[str, str] = field(default_factory=dict)
     processes: Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -44,13 +47,27 @@ class Profile(Table, kw_only=True):
         try:
             recording_options.bounds(self.defaults.bag_bound, Bounds(), "defaults.bag_bound")
         except ConfigurationError as error:
-            raise ValueError(str(error)) from None
-        for name in self.processes:
+            raise TableError(("defaults", "bag_bound"), str(error)) from None
+        for place, name in enumerate(self.processes):
+            path = ("processes", str(place))
             if name not in BY_NAME:
-                raise ValueError(f"processes: {name!r} is none of {', '.join(BY_NAME)}")
-            for need in BY_NAME[name].needs:
-                if need not in self.processes:
-                    raise ValueError(f"processes: {name} needs {need}")
+                raise TableError(path, expected(name, BY_NAME))
+            if name in self.processes[:place]:
+                raise TableError(path, f"got {name!r} for the second time; expected each process once")
+            if missing := [need for need in BY_NAME[name].needs if need not in self.processes]:
+                raise TableError(path, f"{name} needs {missing[0]}; expected it here, too")
+            if BY_NAME[name].hardware_only and self.variant != "hardware":
+                raise TableError(path, f"got {name!r}, which no simulation has; expected variant: hardware")
+        self._check_initial_mode()
+
+    def _check_initial_mode(self) -> None:
+        """Raise ``TableError`` unless it is a mode that the robot can be brought to, by a process that does so."""
+        if self.initial_mode is None:
+            return
+        if MODES not in self.processes:
+            raise TableError(("initial_mode",), f"got {self.initial_mode!r}; expected {MODES} in processes, or no mode")
+        if self.initial_mode not in (modes := mode_names.initial()):
+            raise TableError(("initial_mode",), expected(self.initial_mode, modes))
 
     @classmethod
     def load(cls, file: Path) -> Profile:

@@ -22,17 +22,11 @@ class Simulation(Backend):
     def __init__(self, context: Context) -> None:
         settings, robot = context.settings, context.robot
         plant = Plant(robot, settings.world, settings.actuators, settings.seed)
-        steps = round(robot.control_period / plant.step_time)
-        if steps < 1 or abs(steps * plant.step_time - robot.control_period) > 1e-9:
-            raise ConfigurationError(
-                f"{robot.folder / 'robot.yaml'}: physics_step {plant.step_time:g} s: expected a whole number of them "
-                f"in a control period of {robot.control_period:g} s"
-            )
         if not settings.real_time_factor >= 0.0:
             raise ConfigurationError(f"real_time_factor {settings.real_time_factor:g}: expected 0 or more")
         rate = settings.real_time_factor if settings.clock == "lockstep" else 1.0
         self._pacer = Pacer(rate, Wall(), BACKLOG, HASTE)
-        self._clock = CLOCKS[settings.clock](plant, steps, self._pacer, context.trace)
+        self._clock = CLOCKS[settings.clock](plant, robot.physics_steps(), self._pacer, context.trace)
         self._sensors = Sensors(robot, plant, robot.tables.actuators[settings.actuators].noise, settings.seed)
         self._truth = Truth(robot, plant, context.node.publisher(GROUND_TRUTH.name, GroundTruth))
         self._truth_every = max(1, round(robot.tables.control_rate / Truth.RATE))

@@ -153,5 +153,5 @@ def test_a_foot_sent_onto_the_other_comes_down_beside_it(apart: bool) -> None:
 
 
 def test_a_pair_that_the_model_does_not_have_is_told() -> None:
-    with pytest.raises(ConfigurationError, match=r"no body 'l_tail', which robot.yaml names in self_collision\.pairs"):
+    with pytest.raises(ConfigurationError, match=r"self_collision\.pairs\.0: got 'l_tail'; expected a body of"):
         controller_model(load_robot(self_collision={"pairs": [("l_tail", "chest")]}))

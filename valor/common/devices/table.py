@@ -6,14 +6,13 @@ fail by itself: a motor controller, a servo, a sensor, a limb.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from valor.common.devices.dynamixel import MODELS
-from valor.common.table import NonNegative, Positive, Table
+from valor.common.table import NonNegative, Positive, Table, TableError, require_order
 
 CanId = Annotated[int, Meta(ge=1, le=63)]
 WrenchPlace = Literal["left_foot", "right_foot", "left_hand", "right_hand"]
@@ -44,7 +43,7 @@ class SeaCanFd(Device, tag="sea_can_fd"):
     controllers: Annotated[list[MotorController], Meta(min_length=1)]
 
     def __post_init__(self) -> None:
-        _require_distinct("controllers: id", (controller.id for controller in self.controllers))
+        _require_distinct("controllers", "id", [controller.id for controller in self.controllers])
 
     @property
     def joints(self) -> list[str]:
@@ -68,8 +67,8 @@ class FtCan(Device, tag="ft_can"):
     sensors: Annotated[list[WrenchSensor], Meta(min_length=1)]
 
     def __post_init__(self) -> None:
-        _require_distinct("sensors: id", (sensor.id for sensor in self.sensors))
-        _require_distinct("sensors: at", (sensor.at for sensor in self.sensors))
+        _require_distinct("sensors", "id", [sensor.id for sensor in self.sensors])
+        _require_distinct("sensors", "at", [sensor.at for sensor in self.sensors])
 
     @property
     def joints(self) -> list[str]:
@@ -105,7 +104,7 @@ class DynamixelServo(Table, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
-            raise ValueError(f"servos: model: {self.model}: expected one of {', '.join(MODELS)}")
+            raise TableError(("model",), f"expected one of {', '.join(MODELS)}, got {self.model!r}")
 
 
 class Dynamixel(Device, tag="dynamixel_2", kw_only=True):
@@ -116,7 +115,7 @@ class Dynamixel(Device, tag="dynamixel_2", kw_only=True):
     servos: Annotated[list[DynamixelServo], Meta(min_length=1)]
 
     def __post_init__(self) -> None:
-        _require_distinct("servos: id", (servo.id for servo in self.servos))
+        _require_distinct("servos", "id", [servo.id for servo in self.servos])
 
     @property
     def joints(self) -> list[str]:
@@ -160,8 +159,13 @@ class SupplyLimits(Table):
     low: NonNegative = 42.0  # the robot shall come to rest [V]
     flat: NonNegative = 36.0  # motors are about to switch themselves off [V]
 
+    def __post_init__(self) -> None:
+        require_order(self, "warm", "hot")
+        require_order(self, "flat", "low")
 
-def _require_distinct(what: str, values: Iterable[object]) -> None:
-    twice = [str(value) for value, count in Counter(values).items() if count > 1]
-    if twice:
-        raise ValueError(f"{what}: {', '.join(twice)} stands more than once")
+
+def _require_distinct(units: str, key: str, values: Sequence[object]) -> None:
+    """Refuse a value of a key that one of the units before has, too."""
+    for place, value in enumerate(values):
+        if value in values[:place]:
+            raise TableError((units, str(place), key), f"got {value!r}, which stands before, too; expected another")

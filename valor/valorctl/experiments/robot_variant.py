@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from valor.common.document import Document
 from valor.common.resources import robot_folder
 
 
@@ -26,7 +27,7 @@ def make(robot: str, changes: Mapping[str, Mapping[str, Any]], folder: Path) -> 
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(robot_folder(robot), folder)
     file = folder / "robot.yaml"
-    tables = yaml.safe_load(file.read_text())
+    tables: Any = Document.load(file).content
     for table, values in changes.items():
         tables.setdefault(table, {}).update(values)
     file.write_text(yaml.safe_dump(tables, sort_keys=False))

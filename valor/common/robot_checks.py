@@ -1,0 +1,348 @@
+"""Whether robot.yaml and model.xml are of the same robot, and of one that can stand: each check finds what breaks it.
+
+``valorctl up`` asks before it starts anything. Rules that need no model stand in ``robot_rules.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from valor.common import soles
+from valor.common.model import Model, full_model
+from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot_tables import Foot
+from valor.common.table import TableError
+
+SIDES = ("left", "right")
+SOLE_HEIGHT = 0.01  # of a sole from the ground in the nominal posture, at most [m]
+SOLE_TILT = 0.02  # of a sole from level, and of its heading from the base's, at most [rad]
+SOLE_SIZE = 0.02  # of a sole's edges from those of the foot's geoms, at most [m]
+COM_MARGIN = 0.02  # of the CoM inside both soles' edges, at least [m]
+STIFFNESS_MARGIN = 1.1  # of the ankles' servos over what the robot's weight asks of them
+LEG_TOLERANCE = 0.05  # of hip_height from the nominal posture's [m]
+
+
+class Stance:
+    """The robot in its nominal posture, its base where robot.yaml says, on the plane z = 0.
+
+    Attributes:
+        robot: the description.
+        model: every joint, and the geoms that collide.
+        data: all that MuJoCo computes of it at rest.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self.robot = robot
+        self.model: Model = full_model(robot, "collision")
+        self.data = mujoco.MjData(self.model.mj)
+        self.data.qpos[:] = self.model.nominal_qpos()
+        mujoco.mj_forward(self.model.mj, self.data)
+
+    def foot(self, side: str) -> Foot:
+        """The table of a foot."""
+        foot: Foot = getattr(self.robot.tables.feet, side)
+        return foot
+
+    def site(self, name: str) -> tuple[FloatVector, FloatVector]:
+        """(3,) position in the world [m], and (3, 3) orientation, of a site."""
+        site = self.data.site(name)
+        return site.xpos, site.xmat.reshape(3, 3)
+
+    @cached_property
+    def base(self) -> tuple[FloatVector, FloatVector]:
+        """(3,) position, and (3, 3) orientation, of the base."""
+        body = self.data.body(self.robot.tables.base)
+        return body.xpos, body.xmat.reshape(3, 3)
+
+    @property
+    def com(self) -> FloatVector:
+        """(3,) of the whole robot [m]."""
+        com: FloatVector = self.data.subtree_com[self.model.body(self.robot.tables.base)]
+        return com
+
+    @cached_property
+    def weight(self) -> float:
+        """Of the whole robot [N]."""
+        mj = self.model.mj
+        return float(mj.body_subtreemass[self.model.body(self.robot.tables.base)] * -mj.opt.gravity[2])
+
+    def above(self, body: int) -> list[str]:
+        """The joints between the base and a body, from the base on."""
+        mj, names = self.model.mj, list[str]()
+        while body:
+            first, count = mj.body_jntadr[body], mj.body_jntnum[body]
+            names += [mj.joint(i).name for i in reversed(range(first, first + count))]
+            body = int(mj.body_parentid[body])
+        return [name for name in reversed(names) if name in self.robot.index]
+
+    def pitch_joints(self, side: str) -> list[str]:
+        """Of a leg, those that turn about the base's lateral axis, from the hip to the ankle."""
+        lateral = self.base[1][:, 1]
+        group = self.robot.tables.groups[f"{side}_leg"]
+        return [name for name in group if abs(self.data.joint(name).xaxis @ lateral) > 0.9]
+
+    def outline(self, side: str) -> soles.Points:
+        """A sole's corners from above."""
+        foot = self.foot(side)
+        position, rotation = self.site(foot.sole)
+        return soles.outline(position, rotation, foot)
+
+
+def sites_are_on_their_bodies(stance: Stance) -> Iterator[TableError]:
+    """A sole is on its foot, a hand's site on its hand, the IMU on the base."""
+    tables, mj = stance.robot.tables, stance.model.mj
+    pairs = [((limbs, side, key), getattr(getattr(tables, limbs), side), key)
+             for limbs, key in (("feet", "sole"), ("hands", "site")) for side in SIDES]  # fmt: skip
+    wanted = [(path, getattr(limb, key), limb.body) for path, limb, key in pairs]
+    for path, site, body in [*wanted, (("imu", "site"), tables.imu.site, tables.base)]:
+        if (found := mj.body(mj.site_bodyid[stance.model.site(site)]).name) != body:
+            yield TableError(path, f"got {site!r}, which is on {found}; expected a site on {body}")
+
+
+def sides_are_where_they_are_said_to_be(stance: Stance) -> Iterator[TableError]:
+    """Left of the base is left, y > 0."""
+    tables = stance.robot.tables
+    origin, rotation = stance.base
+    for limbs, key in (("feet", "sole"), ("hands", "site")):
+        for side, sign in zip(SIDES, (1, -1), strict=True):
+            name = getattr(getattr(getattr(tables, limbs), side), key)
+            lateral = float((stance.site(name)[0] - origin) @ rotation[:, 1])
+            if lateral * sign <= 0:
+                what = f"got {name!r}, {abs(lateral):.2f} m to the other side of the base; expected the {side} one"
+                yield TableError((limbs, side, key), what)
+
+
+def groups_are_what_they_are_called(stance: Stance) -> Iterator[TableError]:
+    """Legs, torso and arms are the joints between the base and the feet, chest and hands; hands and neck lie beyond."""
+    tables, body = stance.robot.tables, stance.model.body
+    groups = tables.groups
+    torso = stance.above(body(tables.chest))
+    chains = {"torso": torso}
+    for side in SIDES:
+        chains[f"{side}_leg"] = stance.above(body(stance.foot(side).body))
+        hand = stance.above(body(getattr(tables.hands, side).body))
+        chains[f"{side}_arm"] = [name for name in hand if name not in torso]
+    for group, chain in chains.items():
+        if set(groups[group]) != set(chain):
+            odd = sorted(set(groups[group]) ^ set(chain))
+            yield TableError(("groups", group), f"expected {', '.join(chain) or 'none'}; in one of both only: {odd}")
+    beyond = {f"{side}_hand": getattr(tables.hands, side).body for side in SIDES} | {"neck": tables.chest}
+    for group, root in beyond.items():
+        for place, name in enumerate(groups[group]):
+            if not set(stance.above(body(root))) < set(stance.above(int(stance.model.mj.joint(name).bodyid[0]))):
+                yield TableError(("groups", group, str(place)), f"got {name!r}; expected a joint beyond {root}")
+
+
+def soles_stand_on_the_ground(stance: Stance) -> Iterator[TableError]:
+    """In the nominal posture both soles are level, point forward, and are as far below the base as it says."""
+    forward = stance.base[1][:, 0]
+    for side in SIDES:
+        foot = stance.foot(side)
+        position, rotation = stance.site(foot.sole)
+        if abs(position[2]) > SOLE_HEIGHT:
+            height = stance.robot.tables.nominal_base_height
+            what = f"got {height}; expected {height - position[2]:.4f}, at which {foot.sole} stands on the ground"
+            yield TableError(("nominal_base_height",), what)
+        tilt, turn = (
+            float(np.arccos(min(1.0, rotation[2, 2]))),
+            float(np.arccos(np.clip(rotation[:, 0] @ forward, -1, 1))),
+        )
+        if tilt > SOLE_TILT:
+            yield TableError(("nominal_posture",), f"tilts {foot.sole} by {tilt:.3f} rad; expected both soles level")
+        elif turn > SOLE_TILT:
+            yield TableError(("feet", side, "sole"), f"points {turn:.2f} rad away from forward; expected x forward")
+
+
+def soles_are_as_large_as_the_feet(stance: Stance) -> Iterator[TableError]:
+    """Edges of soles are where the foot's geoms touch the ground."""
+    for side in SIDES:
+        foot = stance.foot(side)
+        points = _footprint(stance, foot)
+        if not len(points):
+            yield TableError(("feet", side, "body"), f"got {foot.body!r}; expected a body whose geoms reach its sole")
+            continue
+        (back, right), (front, left) = points.min(axis=0), points.max(axis=0)
+        for key, found, wanted in (
+            ("heel", foot.heel, back),
+            ("toe", foot.toe, front),
+            ("half_width", foot.half_width, max(left, -right)),
+        ):
+            if abs(found - wanted) > SOLE_SIZE:
+                yield TableError(
+                    ("feet", side, key), f"got {found}; expected {wanted:.3f}, as the geoms of {foot.body}"
+                )
+
+
+def _footprint(stance: Stance, foot: Foot) -> FloatVector:
+    """(k, 2) where the geoms of a foot touch the plane of its sole, in the sole's frame [m]."""
+    mj, data = stance.model.mj, stance.data
+    origin, rotation = stance.site(foot.sole)
+    points = []
+    for geom in np.flatnonzero(mj.geom_bodyid == stance.model.body(foot.body)):
+        centre, half = mj.geom_aabb[geom, :3], mj.geom_aabb[geom, 3:]
+        ball = mj.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE
+        signs = np.zeros((1, 3)) if ball else np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+        corners = data.geom_xpos[geom] + (centre + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T
+        seen = (corners - origin) @ rotation
+        lowest = seen[:, 2].min() - (half[0] if ball else 0.0)
+        if lowest < SOLE_HEIGHT:
+            points += [point[:2] for point in seen if ball or point[2] < lowest + SOLE_HEIGHT]
+    return np.array(points)
+
+
+def feet_stand_apart(stance: Stance) -> Iterator[TableError]:
+    """In the nominal posture the soles do not stand on each other."""
+    if soles.overlap(*(stance.outline(side) for side in SIDES)):
+        yield TableError(("nominal_posture",), "puts one sole on the other; expected them apart")
+
+
+def nothing_touches(stance: Stance) -> Iterator[TableError]:
+    """In the nominal posture the robot does not touch itself."""
+    mj = stance.model.mj
+    for contact in stance.data.contact[:1]:
+        one, other = (mj.body(mj.geom_bodyid[geom]).name for geom in contact.geom)
+        yield TableError(("nominal_posture",), f"{one} touches {other}; expected nothing to touch")
+
+
+def pairs_are_kept_apart(stance: Stance) -> Iterator[TableError]:
+    """In the nominal posture all that is kept apart is farther apart than it is kept."""
+    collision, model = stance.robot.tables.self_collision, stance.model
+    for place, pair in enumerate(collision.pairs):
+        for body in pair:
+            if not (model.mj.geom_bodyid == model.body(body)).any():
+                yield TableError(
+                    ("self_collision", "pairs", str(place)), f"got {body!r}, which has no geoms that collide"
+                )
+                return
+        one, other = (model.shape(body) for body in pair)
+        apart = mujoco.mj_geomDistance(model.mj, stance.data, one, other, 1.0, None)
+        if apart < collision.distance:
+            what = f"got {collision.distance}; expected less than the {apart:.3f} m between {pair[0]} and {pair[1]}"
+            yield TableError(("self_collision", "distance"), what)
+
+
+def the_com_is_over_the_soles(stance: Stance) -> Iterator[TableError]:
+    """In the nominal posture the CoM is well inside the convex hull of both soles."""
+    inside = com_margin(stance)
+    if inside < COM_MARGIN:
+        what = f"puts the CoM {inside:.3f} m inside the soles' edges; expected at least {COM_MARGIN}"
+        yield TableError(("nominal_posture",), what)
+
+
+def com_margin(stance: Stance) -> float:
+    """How far the CoM is inside the convex hull of both soles, seen from above [m]; negative outside."""
+    corners = np.array([point for side in SIDES for point in stance.outline(side)])
+    com = stance.com[:2]
+    # Distance to a convex hull's edges: the least, over all lines through two corners with every corner on one side.
+    margin = np.inf
+    for i, a in enumerate(corners):
+        for b in corners[i + 1 :]:
+            along = b - a
+            normal = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
+            sides = (corners - a) @ normal
+            if sides.min() > -1e-9:
+                margin = min(margin, float((com - a) @ normal))
+            elif sides.max() < 1e-9:
+                margin = min(margin, float((a - com) @ normal))
+    return margin
+
+
+def joints_can_carry_the_robot(stance: Stance) -> Iterator[TableError]:
+    """No joint needs more than its effort limit in the nominal posture."""
+    for name, share in effort_shares(stance).items():
+        if share > 1:
+            effort = stance.robot.tables.joints[name].effort
+            what = f"got {effort}; expected at least {share * effort:.1f} N·m, which the nominal posture needs"
+            yield TableError(("joints", name, "effort"), what)
+
+
+def effort_shares(stance: Stance) -> dict[str, float]:
+    """What each joint needs in the nominal posture, as a share of its limit.
+
+    The feet share the weight by the CoM's place between them.
+    """
+    model, robot = stance.model, stance.robot
+    torque: npt.NDArray[np.float64] = stance.data.qfrc_bias.copy()
+    places = [stance.site(stance.foot(side).sole)[0] for side in SIDES]
+    across = places[0] - places[1]
+    share = float(np.clip((stance.com - places[1]) @ across / (across @ across), 0, 1))
+    for side, place, load in zip(SIDES, places, (share, 1 - share), strict=True):
+        point = np.array([stance.com[0], place[1], place[2]])
+        jacobian = np.zeros((3, model.mj.nv))
+        mujoco.mj_jac(model.mj, stance.data, jacobian, None, point, model.body(stance.foot(side).body))
+        torque -= jacobian[2] * stance.weight * load
+    shares = np.abs(torque[model.dof]) / robot.effort_limit[model.joint_indices]
+    return dict(zip(model.joints, shares.tolist(), strict=True))
+
+
+def servos_hold_the_robot_up(stance: Stance) -> Iterator[TableError]:
+    """In Stand Prep the robot stands on its ankles' servos alone: they are stiffer than an inverted pendulum."""
+    ankles = [stance.pitch_joints(side)[-1:] for side in SIDES]
+    if not all(ankles):
+        yield TableError(("groups", "left_leg"), "expected joints that turn about the lateral axis")
+        return
+    needed = STIFFNESS_MARGIN * stance.weight * float(stance.com[2])
+    found = sum(stance.robot.tables.joints[ankle].servo.stiffness for [ankle] in ankles)
+    if found < needed:
+        what = f"{found:g} N·m/rad in both ankles; expected at least {needed:.0f}, or the robot falls in Stand Prep"
+        yield TableError(("joints", ankles[0][0], "servo", "stiffness"), what)
+
+
+def legs_are_as_long_as_walking_says(stance: Stance) -> Iterator[TableError]:
+    """``hip_height`` is that of the nominal posture, and ``leg_reach`` leaves the knee bent."""
+    walking = stance.robot.tables.walking
+    for side in SIDES:
+        anchors = [stance.data.joint(name).xanchor for name in stance.pitch_joints(side)]
+        height = float(anchors[0][2] - anchors[-1][2])
+        length = float(sum(np.linalg.norm(b - a) for a, b in pairwise(anchors)))
+        if abs(walking.hip_height - height) > LEG_TOLERANCE:
+            what = f"got {walking.hip_height}; expected {height:.3f}, as in the nominal posture"
+            yield TableError(("walking", "hip_height"), what)
+        if walking.leg_reach >= length:
+            what = f"got {walking.leg_reach}; expected less than the straight leg's {length:.3f}"
+            yield TableError(("walking", "leg_reach"), what)
+
+
+def servos_are_damped(stance: Stance) -> Iterator[TableError]:
+    """With an actuator profile's torque lag T a servo oscillates whose damping is below T times its stiffness."""
+    for profile, actuators in stance.robot.tables.actuators.items():
+        for name, joint in stance.robot.tables.joints.items():
+            if (least := actuators.torque_lag * joint.servo.stiffness) > joint.servo.damping:
+                what = f"got {joint.servo.damping}; expected at least {least:g}, for the torque lag of {profile}"
+                yield TableError(("joints", name, "servo", "damping"), what)
+
+
+CHECKS: tuple[Callable[[Stance], Iterator[TableError]], ...] = (
+    sites_are_on_their_bodies,
+    sides_are_where_they_are_said_to_be,
+    groups_are_what_they_are_called,
+    soles_stand_on_the_ground,
+    soles_are_as_large_as_the_feet,
+    feet_stand_apart,
+    the_com_is_over_the_soles,
+    nothing_touches,
+    pairs_are_kept_apart,
+    legs_are_as_long_as_walking_says,
+    joints_can_carry_the_robot,
+    servos_hold_the_robot_up,
+    servos_are_damped,
+)
+"""In the order in which they are tried: a check may count on those before it."""
+
+
+def require_sound(robot: RobotDescription) -> None:
+    """Try every check.
+
+    Raises:
+        ConfigurationError: what the first of them found, with file, line and key.
+    """
+    stance = Stance(robot)
+    for check in CHECKS:
+        for broken in check(stance):
+            raise robot.error(broken.path, broken.what)

@@ -1,0 +1,144 @@
+"""What must hold between the tables of robot.yaml, without a model: each rule finds what breaks it.
+
+Rules that need the robot's geometry stand in ``robot_checks.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from valor.common.table import TableError
+
+if TYPE_CHECKING:
+    from valor.common.robot_tables import RobotTables
+
+REQUIRED_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm", "neck", "left_hand", "right_hand")
+"""What controllers and controllers.yaml name; a robot may leave some empty, but says so."""
+
+
+def groups_are_there(tables: RobotTables) -> Iterator[TableError]:
+    """Every group that code goes by is in ``groups``."""
+    for group in REQUIRED_GROUPS:
+        if group not in tables.groups:
+            yield TableError(("groups", group), "expected, but missing")
+
+
+def every_joint_is_in_one_group(tables: RobotTables) -> Iterator[TableError]:
+    """Each joint stands in one group, once."""
+    owner: dict[str, str] = {}
+    for group, members in tables.groups.items():
+        for place, joint in enumerate(members):
+            if joint not in tables.joints:
+                yield TableError(("groups", group, str(place)), f"got {joint!r}; expected one of joints")
+            elif joint in owner:
+                what = f"got {joint!r}, which is in {owner[joint]}; expected each joint in one group"
+                yield TableError(("groups", group, str(place)), what)
+            owner[joint] = group
+    for joint in tables.joints:
+        if joint not in owner:
+            yield TableError(("joints", joint), "in no group; expected it in one of groups")
+
+
+def postures_are_within_limits(tables: RobotTables) -> Iterator[TableError]:
+    """Nominal posture, presets and calibration pose name joints of theirs, within the joints' limits."""
+    everything = list(tables.joints)
+    yield from _posture(tables, ("nominal_posture",), tables.nominal_posture, everything)
+    yield from _posture(tables, ("calibration", "pose"), tables.calibration.pose, everything)
+    for limb, presets in (("arm", tables.arm_presets), ("hand", tables.hand_presets)):
+        for preset, sides in presets.items():
+            for side, posture in sides.items():
+                members = tables.groups[f"{side}_{limb}"]
+                yield from _posture(tables, (f"{limb}_presets", preset, side), posture, members)
+
+
+def _posture(
+    tables: RobotTables, path: tuple[str, ...], posture: Mapping[str, float], members: list[str]
+) -> Iterator[TableError]:
+    for name, angle in posture.items():
+        if name not in members:
+            what = "one of joints" if len(members) == len(tables.joints) else f"one of {', '.join(members)}"
+            yield TableError((*path, name), f"unknown joint; expected {what}")
+            continue
+        joint = tables.joints[name]
+        if joint.lower is not None and joint.upper is not None and not joint.lower <= angle <= joint.upper:
+            yield TableError((*path, name), f"got {angle}; expected {joint.lower} to {joint.upper}, the joint's limits")
+
+
+def offsets_name_joints(tables: RobotTables) -> Iterator[TableError]:
+    """Encoder offsets are of joints that there are."""
+    for name in tables.calibration.offsets:
+        if name not in tables.joints:
+            yield TableError(("calibration", "offsets", name), "unknown joint; expected one of joints")
+
+
+def gears_name_joints_or_groups(tables: RobotTables) -> Iterator[TableError]:
+    """What an actuator profile says of single gears is of joints or groups that there are."""
+    for profile, actuators in tables.actuators.items():
+        for name in actuators.gears:
+            if name not in tables.joints and name not in tables.groups:
+                yield TableError(("actuators", profile, "gears", name), "expected one of joints or groups")
+
+
+def limbs_are_distinct(tables: RobotTables) -> Iterator[TableError]:
+    """Left and right foot, and hand, are two bodies with a site each."""
+    for limbs, keys in (("feet", ("body", "sole")), ("hands", ("body", "site"))):
+        pair = getattr(tables, limbs)
+        for key in keys:
+            name = getattr(pair.left, key)
+            if name == getattr(pair.right, key):
+                yield TableError((limbs, "right", key), f"got {name!r}, as {limbs}.left has; expected another")
+
+
+def pairs_are_distinct(tables: RobotTables) -> Iterator[TableError]:
+    """What is kept apart is two bodies, named once."""
+    seen: set[frozenset[str]] = set()
+    for place, pair in enumerate(tables.self_collision.pairs):
+        if len(set(pair)) < 2 or frozenset(pair) in seen:
+            what = f"got {' and '.join(pair)}; expected two bodies that no other pair has"
+            yield TableError(("self_collision", "pairs", str(place)), what)
+        seen.add(frozenset(pair))
+
+
+def steps_fit_each_other(tables: RobotTables) -> Iterator[TableError]:
+    """Walking is as wide as footsteps may be; the leg reaches farther than the hip is high."""
+    walking, footsteps = tables.walking, tables.footsteps
+    if walking.hip_height >= walking.leg_reach:
+        what = f"got {walking.leg_reach}; expected more than hip_height, {walking.hip_height}"
+        yield TableError(("walking", "leg_reach"), what)
+    if footsteps is not None and not footsteps.min_width <= walking.step_width <= footsteps.max_width:
+        what = f"got {walking.step_width}; expected {footsteps.min_width} to {footsteps.max_width}, as footsteps says"
+        yield TableError(("walking", "step_width"), what)
+    if footsteps is not None and footsteps.min_width < tables.feet.left.half_width + tables.feet.right.half_width:
+        what = f"got {footsteps.min_width}; expected at least a sole's width, or the feet stand on each other"
+        yield TableError(("footsteps", "min_width"), what)
+
+
+def every_joint_has_one_device(tables: RobotTables) -> Iterator[TableError]:
+    """No joint is moved by two devices, and devices move joints that there are."""
+    owner: dict[str, str] = {}
+    for name in tables.devices:
+        for limb in getattr(tables.devices[name], "limbs", ()):
+            if limb.group not in tables.groups:
+                yield TableError(("devices", name), f"got the group {limb.group!r}; expected one of groups")
+                return
+        for joint in tables.device_joints(name):
+            if joint not in tables.joints:
+                yield TableError(("devices", name), f"got the joint {joint!r}; expected one of joints")
+            elif joint in owner:
+                yield TableError(("devices", name), f"got the joint {joint!r}, which {owner[joint]} moves already")
+            owner[joint] = name
+
+
+RULES: tuple[Callable[[RobotTables], Iterator[TableError]], ...] = (
+    groups_are_there,
+    every_joint_is_in_one_group,
+    postures_are_within_limits,
+    offsets_name_joints,
+    gears_name_joints_or_groups,
+    limbs_are_distinct,
+    pairs_are_distinct,
+    steps_fit_each_other,
+    every_joint_has_one_device,
+)
+"""In the order in which they are tried: a rule may count on those before it."""
