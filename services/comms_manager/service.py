@@ -30,9 +30,9 @@ class CommsManager:
         self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot, self._latch.update)
         self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
         self._backend = make_backend(context)
-        # Microseconds since the epoch: greater than every sequence of an earlier run, so that a Motor which answers
-        # the world before a restart is known.
-        self._sequence = time.time_ns() // 1000
+        # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier
+        # runs, so that a Motor which answers the world before a restart is known.
+        self._sequence = time.monotonic_ns() // 1000
 
     def run(self) -> None:
         """Stand by until the first Motor if the backend does, then run until told to stop."""

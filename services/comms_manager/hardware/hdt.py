@@ -54,8 +54,8 @@ class _Limb:
         self.record = UnitRecord(table.group)
         self.rejoining = Rejoining(len(joints))
         self.state: HdtState | None = None
-        # Greater than every sequence of an earlier run: a state that answers one of those is known.
-        self.sequence = time.time_ns() // 1000
+        # Greater than every sequence of an earlier run, whoever sets the clock: a state that answers one is known.
+        self.sequence = time.monotonic_ns() // 1000
         self.sent: OrderedDict[int, float] = OrderedDict()  # sequence → when [monotonic s]
         self.answered = False
         self.silent = True

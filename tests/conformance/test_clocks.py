@@ -1,0 +1,58 @@
+"""Whoever sets the computer's clock stops no robot: what passes is told by a clock that nobody sets."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+WALL = {"time", "time_ns", "now", "utcnow", "today", "localtime", "gmtime"}
+DATES = {
+    "bifrost/discovery.py": "when a node began, for people, and which of two of one name is told first",
+    "services/bag_recorder/clock.py": "dates of recordings",
+    "services/bag_recorder/housekeeper.py": "ages of recordings, from one look at the clock",
+    "services/bag_recorder/shelf.py": "names of recordings",
+    "valor/common/recordings.py": "ages of recordings",
+    "valor/valorctl/recording_list.py": "ages of recordings",
+    "valor/valorctl/recording_report.py": "ages of recordings",
+    "valor/valorctl/log_view.py": "since when logs are shown",
+    "valor/valorctl/verbs/observation.py": "since when logs are shown",
+    "valor/valorctl/experiments/experiment.py": "when an experiment was made",
+    "valor/valorctl/status.py": "since when a behavior lasts; how long a process runs, whose begin the kernel gives so",
+    "valor/valorctl/status_view.py": "since when a behavior lasts",
+}
+"""Where dates are meant, and nothing that moves a robot or says who is alive."""
+
+
+def wall_clocks(source: str) -> Iterator[str]:
+    """Calls that look at the wall's clock."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in WALL:
+            owner = node.func.value
+            name = owner.id if isinstance(owner, ast.Name) else owner.attr if isinstance(owner, ast.Attribute) else ""
+            if name in ("time", "datetime", "date", "dt"):
+                yield f"{name}.{node.func.attr}"
+        if isinstance(node, ast.Attribute) and node.attr == "CLOCK_REALTIME":
+            yield node.attr
+
+
+def product() -> Iterator[Path]:
+    """Every module, each once: packages of services are linked into ``valor``."""
+    for folder in ("bifrost", "services", "valor"):
+        for file in (REPOSITORY / folder).rglob("*.py"):
+            if not any(parent.is_symlink() for parent in file.parents):
+                yield file
+
+
+def test_durations_are_told_by_a_clock_that_nobody_sets() -> None:
+    found = {str(file.relative_to(REPOSITORY)) for file in product() if list(wall_clocks(file.read_text()))}
+    assert found == set(DATES)
+
+
+@pytest.mark.parametrize("call", ["time.time()", "datetime.now()", "datetime.datetime.utcnow()", "time.time_ns()"])
+def test_a_look_at_the_wall_is_seen(call: str) -> None:
+    assert list(wall_clocks(f"x = 3 + {call}"))
+    assert not list(wall_clocks("x = time.monotonic_ns() + perf.time()"))

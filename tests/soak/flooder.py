@@ -1,0 +1,51 @@
+"""One that floods: ``python -m tests.soak.flooder bifrost|ros SECONDS``, as fast as one loop goes."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+import bifrost
+from valor.common.instance import Instance
+from valor.common.messages import JointSetpoints
+from valor.common.robot import RobotDescription
+from valor.common.topics import JOINT_SETPOINTS
+
+
+def over_bifrost(instance: Instance, seconds: float) -> int:
+    """Set-points for all joints; returns how many."""
+    robot = RobotDescription.load(instance.settings().robot)
+    zeros = np.zeros(len(robot.joints))
+    message = JointSetpoints(0, list(robot.joints), zeros, zeros, zeros)
+    with bifrost.Node("flooder", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+        publisher = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+        until, sent = time.monotonic() + seconds, 0
+        while time.monotonic() < until:
+            publisher.publish(message)
+            sent += 1
+    return sent
+
+
+def over_ros(instance: Instance, seconds: float) -> int:
+    """Trajectories of an arm and modes that there are none of; returns how many."""
+    from std_msgs.msg import String
+    from trajectory_msgs.msg import JointTrajectory
+
+    from valor.valorctl.ros_client import RosClient
+
+    with RosClient(instance) as ros:
+        arm = ros.publisher(JointTrajectory, "/trajectory_controllers/right_arm_traj_controller/joint_trajectory", 1)
+        other = ros.publisher(String, "/chatter", 0)
+        until, sent = time.monotonic() + seconds, 0
+        while time.monotonic() < until:
+            arm.publish(JointTrajectory(joint_names=["nobody"]))
+            other.publish(String(data="flood"))
+            sent += 1
+    return sent
+
+
+if __name__ == "__main__":
+    here = Instance.from_environment()
+    print({"bifrost": over_bifrost, "ros": over_ros}[sys.argv[1]](here, float(sys.argv[2])))

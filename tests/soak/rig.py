@@ -1,0 +1,214 @@
+"""A system under ``valorctl up``, its tap, and the hands that a soak has: those of its ordinary clients."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+
+import bifrost
+from tests.soak.rules import Modes, way
+from tests.soak.tap import Tap
+from tests.system import System, leftovers, shared_memory
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import BehaviorReply, BehaviorRequest
+from valor.common.robot import RobotDescription
+from valor.common.topics import BEHAVIOR
+from valor.motion_manager.behaviors import Behavior
+from valor.valorctl.getting_up import get_up
+from valor.valorctl.supervision import Supervisor
+
+NAME = "soak"
+PATIENCE = 60.0  # for anything to happen [s]
+TO_STAND = 40.0  # for Stand Prep to have come to rest [s]
+LOW = 0.55  # the pelvis of a robot that lies or kneels; it stands at 0.8 [m]
+SPOKEN = 3.0  # a service that has said nothing for so long is not well [s]
+_LOOK = 0.02  # [s]
+_BORROWED = ("hdt_driver",)  # another process speaks for it, and so gives its own pid
+
+
+class BrokenError(Exception):
+    """The system cannot be brought on: what was waited for."""
+
+
+class Rig:
+    """One system at a time, brought up anew where nothing else brings the robot to its feet.
+
+    Attributes:
+        tap: of the present system.
+        killed: how often each process was killed since it came up.
+        memory: samples of each process, by name and pid: time [s], memory [MiB].
+        ups: how often it was brought up.
+    """
+
+    tap: Tap
+    client: bifrost.Client[BehaviorRequest, BehaviorReply]
+
+    def __init__(self, home: Path, profile: str, *options: str) -> None:
+        self.home, self._profile, self._options = home, profile, options
+        self.system = System(NAME, home)
+        self.instance = Instance(NAME, home)
+        self.modes = Modes()
+        self.killed: Counter[str] = Counter()
+        self.memory: dict[tuple[str, int], list[tuple[float, float]]] = {}
+        self.ups = 0
+        self._shared = shared_memory()
+
+    # --- the system ---------------------------------------------------------------------------------------------
+
+    def up(self) -> None:
+        """Bring it up, the robot standing."""
+        self.system.valorctl("up", "--profile", self._profile, *self._options, timeout=300.0)
+        self.ups += 1
+        self.killed.clear()
+        self.robot = RobotDescription.load(self.instance.settings().robot)
+        network = bifrost.Network.load(self.instance.network_file, self.instance.keys)
+        self._node = bifrost.Node("soak", network=network)
+        self.client = self._node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self.tap = Tap(self.instance, self.robot)
+        self.tap.__enter__()
+        self.supervisor = Supervisor(self.instance)
+        self.wait(lambda: self.tap.state is not None, "a MotionState")
+
+    def down(self) -> list[str]:
+        """Take it down; returns what it has left, and what ended by itself."""
+        restarts = self.supervisor.restarts()
+        self.tap.__exit__(None, None, None)
+        self._node.close()
+        self.system.valorctl("down")
+        from tests.soak.checks import unexpected_ends
+
+        return unexpected_ends(restarts, self.killed) + [
+            f"left after down: {each}" for each in leftovers(self.home, NAME, self._shared)
+        ]
+
+    def pids(self) -> dict[str, int]:
+        """Those that run, by name."""
+        return {name: info.pid for name, info in self.supervisor.processes().items() if info.pid}
+
+    def send(self, name: str, number: signal.Signals) -> float:
+        """Send a signal to a process; returns when, monotonic [s]."""
+        pid = self.pids().get(name)
+        if pid is None:
+            raise BrokenError(f"{name} does not run")
+        if number is signal.SIGKILL:
+            self.killed[name] += 1
+        os.kill(pid, number)
+        return time.monotonic()
+
+    def sample(self) -> None:
+        """Note how much memory each process has."""
+        for name, pid in self.pids().items():
+            try:
+                memory = psutil.Process(pid).memory_info().rss / 2**20
+            except psutil.Error:
+                continue
+            self.memory.setdefault((name, pid), []).append((time.monotonic(), memory))
+
+    def unready(self, hit: str, pid: int, since: float) -> list[str]:
+        """Processes that are not known to be ready.
+
+        Args:
+            hit: the one that something happened to, which must have said so since; empty: none.
+            pid: it had before, if it was killed.
+            since: monotonic [s].
+        """
+        running = self.pids()
+        found = [name for name in self.supervisor.processes() if name not in running]
+        for name, now in running.items():
+            word = self.tap.words.get(name)
+            if name == "bifrostd":
+                well = now != pid
+            elif word is None:
+                well = False
+            else:
+                heard = word.at > (since if name == hit else time.monotonic() - SPOKEN)
+                known = name in _BORROWED or word.pid == now
+                well = heard and known and now != pid and word.state in ("ready", "degraded")
+            if not well:
+                found.append(name)
+        return found or ([] if self._daemon_answers(len(running)) else ["bifrostd"])
+
+    def _daemon_answers(self, processes: int) -> bool:
+        try:
+            graph = self.tap.graph()
+        except bifrost.Error:
+            return False
+        return len(graph.nodes) >= processes - 2  # itself, and the driver that is ROS' alone
+
+    # --- the robot ----------------------------------------------------------------------------------------------
+
+    @property
+    def behavior(self) -> Behavior:
+        """The one reported last."""
+        assert self.tap.state is not None
+        return Behavior(self.tap.state.behavior)
+
+    @property
+    def time(self) -> float:
+        """Robot time [s]."""
+        assert self.tap.state is not None
+        return self.tap.state.time * 1e-9
+
+    def wait(self, condition: Callable[[], object], what: str, patience: float = PATIENCE) -> None:
+        """Wait for something.
+
+        Raises:
+            BrokenError: not in time.
+        """
+        deadline = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > deadline:
+                raise BrokenError(f"not within {patience:g} s: {what}")
+            time.sleep(_LOOK)
+
+    def ask(self, behavior: Behavior) -> BehaviorReply:
+        """Ask the Motion Manager for a behavior, again where it cannot be reached just now."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                return self.client.call(BehaviorRequest(behavior), timeout=5.0)
+            except bifrost.Error as error:
+                if time.monotonic() > deadline:
+                    raise BrokenError(f"motion_manager answers no request: {error}") from None
+                time.sleep(0.1)
+
+    def go(self, behavior: Behavior) -> None:
+        """Have it come about, asking again while the robot is on its way or comes to rest.
+
+        Raises:
+            BrokenError: refused to the end, with the reason, or granted and not seen.
+        """
+        deadline = time.monotonic() + TO_STAND
+        while not (reply := self.ask(behavior)).accepted:
+            if time.monotonic() > deadline:
+                raise BrokenError(f"{behavior} refused: {reply.reason}")
+            time.sleep(0.2)
+        self.wait(lambda: self.behavior is behavior, f"{behavior} after it was granted")
+
+    def stand(self) -> bool:
+        """Bring the robot to Stand by commands; returns whether that needed another ``up``."""
+        try:
+            if self.tap.height < LOW:
+                self._from_the_floor()
+            for behavior in way(self.behavior, Behavior.STAND):
+                self.go(behavior)
+        except (BrokenError, ValorError) as trouble:
+            if self.behavior is not Behavior.FALL and self.tap.height > LOW:
+                raise
+            print(f"      on the floor ({trouble}): down and up")
+            return True
+        return False
+
+    def _from_the_floor(self) -> None:
+        if self.behavior is not Behavior.FALL:
+            self.go(Behavior.FALL)
+        at = time.monotonic()
+        self.wait(lambda: time.monotonic() - at > 3.0, "the robot at rest")
+        get_up(self.instance, lambda: None, lambda _: None)

@@ -1,0 +1,95 @@
+"""What the robot may do, by the product's own tables: the reference that a soak holds what it sees against."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+
+import yaml
+
+import valor.valor_ros_controller
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, OPERATIONAL, RESUMED, Behavior
+
+STEPPING = frozenset({Behavior.STEP, Behavior.STEP_MANIPULATE, Behavior.WALK, Behavior.WALK_MANIPULATE})
+"""A foot may be in the air."""
+BY_ITSELF: Mapping[Behavior, frozenset[Behavior]] = {
+    Behavior.IDLE: frozenset({Behavior.STAND_PREP}),
+    Behavior.STEP: frozenset({Behavior.STAND}),
+    Behavior.STEP_MANIPULATE: frozenset({Behavior.STAND, Behavior.STAND_MANIPULATE}),
+    Behavior.GET_UP: frozenset({Behavior.STAND_PREP, Behavior.FALL}),
+}
+"""Where the robot goes without being asked: the end of a plan, of the way up."""
+_BALANCING = OPERATIONAL | {Behavior.SOFT_STOP}
+_PASSED = frozenset({Behavior.SOFT_STOP})
+"""Passed through within one period, where a robot in Step or Walk is held after a gap of robot time."""
+
+
+def lawful(before: Behavior, after: Behavior, *, anew: bool) -> bool:
+    """Whether a Motor's behavior may follow another's.
+
+    Args:
+        before: of the Motor before.
+        after: of this one.
+        anew: another Motion Manager made this one.
+    """
+    if anew:
+        return after in {RESUMED[before], Behavior.FALL}
+    beyond = {each for next_ in BEHAVIOR_TRANSITIONS[before].keys() & _PASSED for each in BEHAVIOR_TRANSITIONS[next_]}
+    return after is before or after in BEHAVIOR_TRANSITIONS[before].keys() | beyond
+
+
+def outcomes(event: str, process: str, behavior: Behavior) -> frozenset[Behavior]:
+    """Where the robot may be found after an event.
+
+    Args:
+        event: kill, stop, or any other, from which nothing follows.
+        process: that it happens to; empty: to none.
+        behavior: that it happens in.
+    """
+    stay = frozenset({behavior}) | BY_ITSELF.get(behavior, frozenset())
+    fall = frozenset({Behavior.FALL})
+    if (event, process) == ("kill", "motion_manager"):
+        return frozenset({RESUMED[behavior]}) | (fall if behavior in STEPPING else frozenset())
+    if event == "kill" and process in ("comms_manager", "device_emulators"):  # another world, or a gap
+        return (fall | {Behavior.FREEZE} if behavior in _BALANCING else frozenset({RESUMED[behavior]})) | stay
+    if event == "stop" and process in ("motion_manager", "comms_manager", "device_emulators"):
+        held = frozenset({Behavior.FREEZE} if behavior in _BALANCING | {Behavior.STAND_PREP} else ())
+        return stay | held | (fall if behavior in STEPPING else frozenset())
+    return stay
+
+
+def way(start: Behavior, goal: Behavior) -> list[Behavior]:
+    """The shortest way by requests, without the start.
+
+    Raises:
+        LookupError: there is none.
+    """
+    closed = {Behavior.GET_UP, Behavior.FALL, Behavior.SOFT_STOP} - {goal}
+    ways = deque([[start]])
+    seen = {start}
+    while ways:
+        here = ways.popleft()
+        if here[-1] is goal:
+            return here[1:]
+        for after in BEHAVIOR_TRANSITIONS[here[-1]]:
+            if after not in seen and after not in closed:
+                seen.add(after)
+                ways.append([*here, after])
+    raise LookupError(f"no way from {start} to {goal}")
+
+
+class Modes:
+    """The VRC's table of control modes."""
+
+    def __init__(self) -> None:
+        file = Path(valor.valor_ros_controller.__file__).with_name("control_modes.yaml")
+        table = yaml.safe_load(file.read_text())
+        self.names: list[str] = list(table["modes"])
+        self._motion = {name: row["motion"] for name, row in table["modes"].items()}
+        self._found: dict[str, str] = table["behaviors"]
+
+    def fit(self, mode: str, behavior: str) -> bool:
+        """Whether the VRC may report a mode while the Motion Manager is in a behavior, both being at rest."""
+        motion = self._motion.get(mode)
+        return mode == "stop" or self._found[behavior] == mode or bool(motion and motion[-1] == behavior)

@@ -1,0 +1,165 @@
+"""One step: the robot does something, something happens, and everything is looked at."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from tests.soak.activities import ACTIVITIES, Activity, Going
+from tests.soak.checks import GROWTH, growth, in_logs
+from tests.soak.events import Event, events
+from tests.soak.rig import LOW, BrokenError, Rig
+from tests.soak.rules import STEPPING, outcomes
+from valor.common.errors import ValorError
+from valor.motion_manager.behaviors import Behavior
+
+HELD = 0.05  # that a joint may give way while its robot is held [rad]
+RECOVERED = 60.0  # in which everything must be ready again [s]
+FRESH = 0.5  # of a MotionState of a robot in somebody's hands [s]
+QUIET = 0.3  # for which mode and behavior must fit [robot time, s]
+_NEW_WORLD = ("comms_manager", "device_emulators")
+UPRIGHT = frozenset(Behavior) - {Behavior.FALL, Behavior.FREEZE, Behavior.IDLE, Behavior.GET_UP}
+
+
+@dataclass
+class Outcome:
+    """What became of a step.
+
+    Attributes:
+        activity, event: names in their tables.
+        before, after: behaviors.
+        ready: from the end of the event until everything was ready again [s].
+        stands: from then until the robot stood, by commands [s]; NaN: another ``up`` was needed.
+        moved: the largest movement of a joint, until somebody commanded [rad].
+        failures: what was not as it must be.
+    """
+
+    activity: str
+    event: str
+    before: str = ""
+    after: str = ""
+    ready: float = float("nan")
+    stands: float = float("nan")
+    moved: float = float("nan")
+    failures: list[str] = field(default_factory=list)
+
+    def line(self) -> str:
+        """For people."""
+        failed = "; ".join(f"FAILED: {each}" for each in self.failures)
+        return (
+            f"{self.activity} × {self.event}: {self.before} → {self.after}, ready after {self.ready:.2f} s, "
+            f"stands after {self.stands:.1f} s{'; ' if failed else ''}{failed}"
+        )
+
+
+class Soak:
+    """Steps of one system after the other."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._bring_up()
+        self.events = events(list(rig.pids()))
+
+    def choose(self, rng: random.Random) -> tuple[str, str]:
+        """An activity and an event, by their weights."""
+        activity = _weighted(rng, ((name, each.weight) for name, each in ACTIVITIES.items()))
+        feet = activity in ("standing", "arm on its way")
+        possible = ((name, each.weight) for name, each in self.events.items() if feet or not each.on_feet)
+        return activity, _weighted(rng, possible)
+
+    def step(self, activity: str, event: str, rng: random.Random) -> Outcome:
+        """Make one; the robot stands before and afterwards."""
+        outcome = Outcome(activity, event)
+        going: Going | None = None
+        broken = False
+        try:
+            going = ACTIVITIES[activity].begin(self._rig, rng)
+            time.sleep(rng.uniform(0.0, 1.5))
+            self._happen(outcome, ACTIVITIES[activity], self.events[event], rng)
+        except (BrokenError, ValorError, TimeoutError) as error:
+            outcome.failures.append(str(error))
+            broken = True
+        finally:
+            if going is not None:
+                going.end()
+        if going is not None and event == "nothing" and going.trouble:
+            outcome.failures.append(f"{activity}: {going.trouble}")
+        self._back(outcome, broken)
+        return outcome
+
+    def _happen(self, outcome: Outcome, activity: Activity, event: Event, rng: random.Random) -> None:
+        rig = self._rig
+        before = rig.behavior
+        outcome.before = before
+        pid = rig.pids().get(event.process, 0)
+        rig.tap.mark()
+        outcome.failures += event.happen(rig, rng, event.process)
+        ended = time.monotonic()
+        rig.wait(lambda: self._recovered(event, pid, ended), f"all well again; missing: {self.missing}", RECOVERED)
+        outcome.ready = time.monotonic() - ended
+        self._quiet()
+        outcome.after = rig.behavior
+        joint, outcome.moved = rig.tap.moved()
+        if not event.commands and rig.behavior not in (allowed := outcomes(event.kind, event.process, before)):
+            outcome.failures.append(f"{rig.behavior} ({self._reason()}); expected {', '.join(sorted(allowed))}")
+        another_world = event.kind == "kill" and event.process in _NEW_WORLD
+        if event.kind and activity.held and before not in STEPPING and not another_world and outcome.moved > HELD:
+            outcome.failures.append(f"{joint} moved {outcome.moved:.3f} rad")
+        if rig.tap.height < LOW and rig.behavior in UPRIGHT:
+            outcome.failures.append(f"lies on the floor (pelvis at {rig.tap.height:.2f} m) and says {rig.behavior}")
+
+    def _reason(self) -> str:
+        return self._rig.tap.state.reason if self._rig.tap.state else ""
+
+    missing = ""
+
+    def _recovered(self, event: Event, pid: int, since: float) -> bool:
+        rig = self._rig
+        unready = rig.unready(event.process if event.kind else "", pid if event.kind == "kill" else 0, since)
+        lost = [] if time.monotonic() - rig.tap.heard < FRESH else ["MotionState"]
+        unfit = [] if rig.modes.fit(rig.tap.mode, rig.behavior) or event.commands else [f"mode {rig.tap.mode}"]
+        self.missing = ", ".join([*unready, *lost, *unfit])
+        return not self.missing
+
+    def _quiet(self) -> None:
+        """Nothing is asked for a while; what is reported then must fit."""
+        rig = self._rig
+        began = rig.time
+        rig.wait(lambda: not began <= rig.time < began + QUIET, "robot time going on")
+        rig.wait(lambda: rig.modes.fit(rig.tap.mode, rig.behavior), f"mode {rig.tap.mode} fitting {rig.behavior}", 20.0)
+
+    def _back(self, outcome: Outcome, broken: bool) -> None:
+        rig = self._rig
+        began = time.monotonic()
+        lost = True
+        try:
+            lost = rig.stand()
+        except (BrokenError, ValorError) as error:
+            outcome.failures.append(f"does not come back to stand: {error}")
+        outcome.failures += rig.tap.take_faults()
+        rig.sample()
+        if lost:
+            outcome.failures += self.close()
+            self._bring_up()
+        else:
+            outcome.stands = time.monotonic() - began
+
+    def _bring_up(self) -> None:
+        self._rig.up()
+
+    def close(self) -> list[str]:
+        """Take the system down; returns what was not as it must be over all of its life."""
+        rig = self._rig
+        found = rig.down() + in_logs(rig.instance.logs)
+        for (name, pid), samples in rig.memory.items():
+            if (grown := growth(samples)) > GROWTH:
+                found.append(f"{name} ({pid}) grew by {grown:.1f} MiB")
+        rig.memory.clear()
+        return found
+
+
+def _weighted(rng: random.Random, rows: Iterable[tuple[str, float]]) -> str:
+    names, weights = zip(*rows, strict=True)
+    return str(rng.choices(names, weights)[0])
