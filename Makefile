@@ -16,7 +16,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-quick test-pythons fuzz lint bench mutants lock dist clean known-python
+.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint bench mutants lock dist clean known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -94,6 +94,19 @@ test-quick: $(STAMP)
 # The quick tests on every other Python that is found here.
 test-pythons: $(STAMP)
 	.ci/pythons $(PYTHON_VERSION) $(PYTHONS)
+
+# A robot for MINUTES, or STEPS, that is told all sorts of things while all sorts of things happen to it; ends with a table,
+# and with how to see again what failed. FIRST is the step to begin with.
+MINUTES ?= 60
+PROFILE ?= sim
+soak: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --minutes $(MINUTES) --seed $(or $(SEED),0) --profile $(PROFILE) \
+	  --first $(or $(FIRST),0) $(if $(STEPS),--steps $(STEPS))
+
+# The rows of docs/reliability.md, measured again (hours; ROWS="'walking/kill motion_manager'" for some), into a file.
+reliability: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --profile $(PROFILE) --times $(or $(TIMES),5) --out build/reliability.json \
+	  --rows $(ROWS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -15,7 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
+from tests.soak.activities import ACTIVITIES
 from tests.soak.rig import Rig
+from tests.soak.rows import everything
 from tests.soak.run import Outcome, Soak
 
 
@@ -53,15 +55,15 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--first", type=int, default=0, help="the step to begin with: to see one again")
     parser.add_argument("--profile", default="sim")
     parser.add_argument("--robot", default="escher")
-    parser.add_argument("--rows", nargs="+", metavar="ACTIVITY/EVENT", help="these alone, each --times")
+    parser.add_argument("--rows", nargs="*", metavar="ACTIVITY/EVENT", help="these alone, each --times; none: all")
     parser.add_argument("--times", type=int, default=5)
     parser.add_argument("--out", type=Path, help="add what was measured to this file")
     return parser.parse_args()
 
 
 def _plan(arguments: argparse.Namespace, soak: Soak, began: float) -> Iterator[tuple[str, str, random.Random]]:
-    if arguments.rows:
-        for row in arguments.rows:
+    if arguments.rows is not None:
+        for row in arguments.rows or everything(soak.events, ACTIVITIES):
             for time_ in range(arguments.times):
                 activity, event = row.split("/")
                 yield activity, event, random.Random(f"{arguments.seed}/{row}/{time_}")
@@ -94,7 +96,7 @@ def _report(done: list[Outcome], rest: list[str], arguments: argparse.Namespace)
     failed = [(number, each) for number, each in enumerate(done, arguments.first) if each.failures]
     for number, each in failed:
         print(f"step {number} of seed {arguments.seed}, {arguments.profile}: {each.line()}")
-        if not arguments.rows:
+        if arguments.rows is None:
             print(f"  again: make soak SEED={arguments.seed} PROFILE={arguments.profile} FIRST={number} STEPS=1")
     for trouble in rest:
         print(f"at the end: {trouble}")

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 import bifrost
 from tests.soak.rig import BrokenError, Rig
 from valor.common.errors import ValorError
@@ -80,11 +82,13 @@ def _frozen(rig: Rig, _: random.Random) -> Going:
     rig.go(Behavior.STAND_MANIPULATE)
     arm_motion.move_limb(rig.instance, "right", "arm", "forward", speed=0.5, tolerance=0.2)
     rig.go(Behavior.FREEZE)
+    rig.rest()
     return Going(_nothing)
 
 
 def _soft_stop(rig: Rig, _: random.Random) -> Going:
     rig.go(Behavior.SOFT_STOP)
+    rig.rest()
     return Going(_nothing)
 
 
@@ -141,17 +145,13 @@ def _arm_on_its_way(rig: Rig, rng: random.Random) -> Going:
 
 def _fallen(rig: Rig, _: random.Random) -> Going:
     """Pushed over where it can be pushed, else let go."""
-    client = rig.client
     network = bifrost.Network.load(rig.instance.network_file, rig.instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
         pusher = node.client(PUSH.name, PushRequest, PushReply)
         if pusher.wait_for_server(2.0):
-            import numpy as np
-
             pusher.call(PushRequest(np.array([120.0, 0.0, 0.0]), 0.1), timeout=5.0)
         else:
             rig.go(Behavior.FALL)
-    assert client is not None
     rig.wait(lambda: rig.behavior is Behavior.FALL, "the fall told")
     began = rig.time
     rig.wait(lambda: rig.time > began + 3.0, "the robot at rest on the floor")

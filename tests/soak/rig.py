@@ -12,6 +12,7 @@ from pathlib import Path
 import psutil
 
 import bifrost
+from tests.soak.checks import unexpected_ends
 from tests.soak.rules import Modes, way
 from tests.soak.tap import Tap
 from tests.system import System, leftovers, shared_memory
@@ -28,6 +29,8 @@ NAME = "soak"
 PATIENCE = 60.0  # for anything to happen [s]
 TO_STAND = 40.0  # for Stand Prep to have come to rest [s]
 LOW = 0.55  # the pelvis of a robot that lies or kneels; it stands at 0.8 [m]
+STILL = 0.01  # a pelvis as slow as that is at rest [m/s]
+STILL_FOR = 1.0  # [robot time, s]
 SPOKEN = 3.0  # a service that has said nothing for so long is not well [s]
 _LOOK = 0.02  # [s]
 _BORROWED = ("hdt_driver",)  # another process speaks for it, and so gives its own pid
@@ -82,8 +85,6 @@ class Rig:
         self.tap.__exit__(None, None, None)
         self._node.close()
         self.system.valorctl("down")
-        from tests.soak.checks import unexpected_ends
-
         return unexpected_ends(restarts, self.killed) + [
             f"left after down: {each}" for each in leftovers(self.home, NAME, self._shared)
         ]
@@ -192,6 +193,26 @@ class Rig:
             time.sleep(0.2)
         self.wait(lambda: self.behavior is behavior, f"{behavior} after it was granted")
 
+    def rest(self) -> None:
+        """Wait until the robot has stood still for a while.
+
+        Raises:
+            BrokenError: it does not come to rest, or has fallen.
+        """
+        moved = self.time
+
+        def still() -> bool:
+            nonlocal moved
+            state = self.tap.state
+            assert state is not None
+            if self.behavior is Behavior.FALL:
+                raise BrokenError(f"fall: {state.reason}")
+            if abs(state.pelvis_linear_velocity_in_odom).max() > STILL or not state.contacts.all():
+                moved = self.time
+            return not 0.0 <= self.time - moved < STILL_FOR
+
+        self.wait(still, "the robot at rest")
+
     def stand(self) -> bool:
         """Bring the robot to Stand by commands; returns whether that needed another ``up``."""
         try:
@@ -199,6 +220,7 @@ class Rig:
                 self._from_the_floor()
             for behavior in way(self.behavior, Behavior.STAND):
                 self.go(behavior)
+            self.rest()
         except (BrokenError, ValorError) as trouble:
             if self.behavior is not Behavior.FALL and self.tap.height > LOW:
                 raise
