@@ -13,6 +13,7 @@ from bifrost.errors import (
 )
 from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
 from bifrost.health import counts, daemon_alive
+from bifrost.limits import Limit
 from bifrost.messages import Float64Array, Message, Uint8Array
 from bifrost.network import Computer, Network
 from bifrost.node import Node
@@ -33,6 +34,7 @@ __all__ = [
     "Error",
     "Float64Array",
     "Graph",
+    "Limit",
     "Message",
     "Network",
     "NoServerError",

@@ -42,6 +42,7 @@ class Discovery:
         self._counts_told: list[d.Count] = []
         self._next_key = 0
         self._wakes: set[str] = set()  # topics whose subscribers must look at their watch
+        self._later: list[tuple[float, str]] = []  # when, monotonic [s], to wake whose subscribers
         self._errands: deque[Callable[[], None]] = deque()  # for the thread
         self._attended: dict[int, Callable[[], None]] = {}
         self._poller = zmq.Poller()
@@ -111,6 +112,11 @@ class Discovery:
         with self._lock:
             self._wakes.add(topic)
         self._poke_thread()
+
+    def wake_at(self, topic: str, when: float) -> None:
+        """Wake the topic's subscribers at a time [s, monotonic], or a heartbeat later."""
+        with self._lock:
+            self._later.append((when, topic))
 
     def attend(self, descriptor: int, callback: Callable[[], None]) -> None:
         """Have the thread call back whenever a descriptor is readable."""
@@ -259,6 +265,10 @@ class Discovery:
 
     def _send_wakes(self) -> None:
         with self._lock:
+            if self._later:
+                now = time.monotonic()
+                self._wakes |= {topic for when, topic in self._later if when <= now}
+                self._later = [(when, topic) for when, topic in self._later if when > now]
             if not self._wakes:
                 return
             wakes, self._wakes = self._wakes, set()

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
-import select
-import threading
-from collections import deque
 from collections.abc import Callable
 from struct import error as StructError  # noqa: N812
 from time import monotonic_ns
@@ -19,6 +15,7 @@ from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
+from bifrost.limits import LOOKS, Limit, Meter, Muted, endpoint_of
 from bifrost.schema import type_from_schema
 
 if TYPE_CHECKING:
@@ -31,7 +28,6 @@ _PUBLISHERS = 1000  # whose last sequence is remembered
 _FUTURE = 1_000_000  # a stamp this far ahead of the clock it was taken from is none [ns]
 _QUICKEST = 100  # nobody publishes oftener than this [ns]; a gap that would take more is none
 _BURST = 1000  # ... but for so many messages, for clocks that stand still between two readings
-_LOOK = 1000  # a reservoir looks whether it is closed at least this often [ms]
 
 
 class Stream:
@@ -45,11 +41,14 @@ class Stream:
         decode: that.
         sequence: of the last message; 0 before the first.
         stamp: of the last message [ns].
+        meter: of how much it sends; None: however much.
     """
 
-    __slots__ = ("decode", "name", "origin", "payload", "prefix", "sequence", "stamp")
+    __slots__ = ("decode", "meter", "name", "origin", "payload", "prefix", "sequence", "stamp")
 
-    def __init__(self, prefix: bytes, origin: bytes, decode: Callable[[bytes | memoryview], Any]) -> None:
+    def __init__(
+        self, prefix: bytes, origin: bytes, decode: Callable[[bytes | memoryview], Any], meter: Meter | None = None
+    ) -> None:
         self.prefix = prefix
         self.origin = origin
         self.name = origin[1:].decode()
@@ -57,6 +56,7 @@ class Stream:
         self.decode = decode
         self.sequence = 0
         self.stamp = -(2**63)
+        self.meter = meter
 
 
 Checked = tuple[int, int, bytes, Stream, int]  # stamp, sequence, frame, its publisher, when it was taken in [ns]
@@ -73,10 +73,19 @@ class Intake:
         drops: known lost by gaps in the sequence.
         rejected: refused.
         bytes_received: of the messages let through, envelopes included [B].
+        left: whether the last look ended before all that waited had been looked at.
+        floods: how often a publisher was muted.
     """
 
-    def __init__(self, node: Node, topic: str, own_codec: Codec[Any] | None, queue: int | None) -> None:
-        self.several = False
+    def __init__(
+        self, node: Node, topic: str, own_codec: Codec[Any] | None, queue: int | None, limit: Limit | None = None
+    ) -> None:
+        self.several = self.left = False
+        self.floods = 0
+        self._limit = limit
+        self._muted = Muted()
+        self._trace = False  # somebody is to be muted: where do its messages come from?
+        self._flooding = _NOBODY
         self.messages = self.drops = self.rejected = self.bytes_received = 0
         self._node = node
         self._topic = topic
@@ -124,27 +133,34 @@ class Intake:
             if not self._suits(peer.entry)
         ]
 
+    @property
+    def muted(self) -> tuple[str, ...]:
+        """Names of the nodes that are muted now."""
+        endpoints = self._muted.endpoints()
+        return tuple(peer.node for peer in self._watch.peers if peer.entry.endpoint in endpoints) if endpoints else ()
+
     def within(self, milliseconds: int) -> Checked | None:
         """Block until something arrives, or for ever if negative; None after that time, or if it was no message."""
         if milliseconds != self._timeout:
             self.socket.setsockopt(zmq.RCVTIMEO, milliseconds)
             self._timeout = milliseconds
         try:
-            frame = self._recv()
+            return self._take_traced(0) if self._trace else self._take(self._recv())
         except zmq.Again:
             return None
-        return self._take(frame)
 
     def now(self) -> Checked | None:
-        """A message if there is one."""
-        while True:
+        """A message if there is one; None also after many that were refused."""
+        self.left = False
+        for _ in range(LOOKS):
             try:
-                frame = self._recv(_NOBLOCK)
+                checked = self._take_traced() if self._trace else self._take(self._recv(_NOBLOCK))
             except zmq.Again:
                 return None
-            checked = self._take(frame)
             if checked is not None:
                 return checked
+        self.left = True
+        return None
 
     def close(self) -> None:
         """Close the socket."""
@@ -191,10 +207,33 @@ class Intake:
             return None
         if last and self._keep_all:
             self.drops += sequence - last - 1
+        if stream.meter is not None and stream.meter.exceeds(sequence - last if last else 1, stamp):
+            self._trace, self._flooding = True, stream  # it is muted with its next message
         stream.sequence, stream.stamp = sequence, stamp
         self.messages += 1
         self.bytes_received += len(frame)
         return stamp, sequence, frame, stream, now
+
+    def _take_traced(self, flags: int = _NOBLOCK) -> Checked | None:
+        """As ``_take``; mutes the publisher, if it is the one that has sent too much."""
+        frame = self.socket.recv(flags, copy=False)
+        content = frame.bytes
+        checked = self._take(content)
+        if content.startswith(self._flooding.prefix):
+            self._trace = False
+            endpoint = endpoint_of(frame, self._connected)
+            if endpoint:
+                self._mute(endpoint)
+        return checked
+
+    def _mute(self, endpoint: str) -> None:
+        """Disconnect from a publisher for a while: what it sends then is dropped where it is."""
+        self.floods += 1
+        self._muted.add(endpoint)
+        name = next((peer.node for peer in self._watch.peers if peer.entry.endpoint == endpoint), endpoint)
+        self._warn(f"flood {endpoint}", f"{self._topic}: {name} floods it, and is muted while it goes on")
+        self._connect()
+        self._node.discovery.wake_at(self._topic, self._muted.ends)
 
     def _new_stream(self, frame: bytes) -> Stream | None:
         """The first message of a publisher: what its next ones are compared with; None if this is no message."""
@@ -208,7 +247,8 @@ class Intake:
             return None
         origin = frame[self._length : self._length + 1 + length]
         try:
-            stream = Stream(frame[: self._variable], origin, self._codecs[schema].decode)
+            meter = None if self._limit is None else Meter(self._limit)
+            stream = Stream(frame[: self._variable], origin, self._codecs[schema].decode, meter)
         except UnicodeDecodeError:
             self._reject("an origin that is no text")
             return None
@@ -267,6 +307,7 @@ class Intake:
                 one_clock &= peer.computer == self._node.network.computer.name
             else:
                 self._warn(endpoint, str(self._mismatch(peer.node, peer.entry.types, peer.entry.hashes)))
+        wanted -= self._muted.endpoints()
         for endpoint in wanted - self._connected:
             try:
                 self.socket.connect(endpoint)
@@ -278,75 +319,3 @@ class Intake:
         self._connected = wanted
         self._one_clock = one_clock
         self.several = len(wanted) > 1
-
-
-class Reservoir:
-    """Messages that a thread takes in at once and holds up to a depth; of more, the oldest are dropped."""
-
-    def __init__(self, intake: Intake, depth: int, name: str) -> None:
-        self.evicted = 0
-        self._intake = intake
-        self._depth = depth
-        self._held: deque[Checked] = deque()
-        self._lock = threading.Lock()
-        self._filled = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable while anything is held, or nudged
-        self._nudged = False
-        self._poll = select.poll()
-        self._poll.register(self._filled, select.POLLIN)
-        self._closing = False
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    @property
-    def several(self) -> bool:
-        """Never asked to look for the newest."""
-        return False
-
-    @property
-    def pollable(self) -> int:
-        """For polling."""
-        return self._filled
-
-    def within(self, milliseconds: int) -> Checked | None:
-        """The oldest message held; waits for one, for ever if negative."""
-        checked = self.now()
-        if checked is None and self._poll.poll(milliseconds):
-            checked = self.now()
-        return checked
-
-    def now(self) -> Checked | None:
-        """The oldest message held, if any."""
-        with self._lock:
-            checked = self._held.popleft() if self._held else None
-            if not self._held and (checked is not None or self._nudged):
-                self._nudged = False
-                os.eventfd_read(self._filled)
-            return checked
-
-    def wake(self) -> None:
-        """Make ``within`` return, if it waits. From any thread."""
-        with self._lock:
-            if not (self._closing or self._nudged):
-                self._nudged = True
-                os.eventfd_write(self._filled, 1)
-
-    def close(self) -> None:
-        """End the thread and close the socket. It must be woken by whoever calls."""
-        with self._lock:
-            self._closing = True
-        self._thread.join()
-        os.close(self._filled)
-
-    def _run(self) -> None:
-        while not self._closing:
-            checked = self._intake.within(_LOOK)
-            if checked is None:
-                continue
-            with self._lock:
-                if len(self._held) >= self._depth:
-                    self._held.popleft()
-                    self.evicted += 1
-                elif not self._held:
-                    os.eventfd_write(self._filled, 1)
-                self._held.append(checked)
-        self._intake.close()

@@ -15,6 +15,7 @@ from bifrost.discovery import WAKE_ENDPOINT, Discovery
 from bifrost.encoding import codec
 from bifrost.errors import Error, TimeoutError
 from bifrost.graph import Graph
+from bifrost.limits import Limit
 from bifrost.messages import M, Message
 from bifrost.network import Network
 from bifrost.publisher import Latch, Outlet, Publisher
@@ -91,7 +92,12 @@ class Node:
         return self._keep(Publisher(self, outlet, topic, message_type))
 
     def subscriber(
-        self, topic: str, message_type: type[M], queue: int | None = None, drop: Drop = "newest"
+        self,
+        topic: str,
+        message_type: type[M],
+        queue: int | None = None,
+        drop: Drop = "newest",
+        limit: Limit | None = None,
     ) -> Subscriber[M]:
         """Subscribe to a topic.
 
@@ -102,6 +108,7 @@ class Node:
                 dropped and counted.
             drop: of a full queue, the newest: what comes is not taken; or the oldest: a thread of the subscriber takes
                 what comes and lets go of what has waited longest.
+            limit: of each publisher; one that goes on beyond it is muted, see ``Subscriber.muted``. By default none.
         """
         self._check(topic)
         if queue is not None and queue < 1:
@@ -110,17 +117,27 @@ class Node:
             raise ValueError(f"{topic}: drop: expected newest or oldest, got {drop!r}")
         if drop == "oldest" and queue is None:
             raise ValueError(f"{topic}: drop: expected a queue to drop the oldest of")
-        return self._keep(Subscriber(self, topic, message_type, queue, drop))
+        return self._keep(Subscriber(self, topic, message_type, queue, drop, limit=limit))
 
     def subscribe_any(self, topic: str, queue: int | None = None) -> Subscriber[Message]:
         """Subscribe to a topic whatever its type: decoded by the schema that its publisher has registered."""
         self._check(topic)
         return self._keep(Subscriber[Message](self, topic, None, queue))
 
-    def server(self, topic: str, request: type[M], reply: type[R], handler: Callable[[M, str], R]) -> Server[M, R]:
-        """Serve a topic: ``handler(request, origin)`` returns the reply, called from ``Server.serve``."""
+    def server(
+        self,
+        topic: str,
+        request: type[M],
+        reply: type[R],
+        handler: Callable[[M, str], R],
+        limit: Limit | None = None,
+    ) -> Server[M, R]:
+        """Serve a topic: ``handler(request, origin)`` returns the reply, called from ``Server.serve``.
+
+        Of each client more than ``limit`` is not answered, see ``Server.muted``.
+        """
         self._check(topic)
-        return self._keep(Server(self, topic, request, reply, handler))
+        return self._keep(Server(self, topic, request, reply, handler, limit=limit))
 
     def client(self, topic: str, request: type[M], reply: type[R]) -> Client[M, R]:
         """Call the server of a topic."""

@@ -14,6 +14,7 @@ import zmq
 from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import codec
+from bifrost.limits import LOOKS, MUTE, Limit, Meter
 from bifrost.messages import M, Message
 
 if TYPE_CHECKING:
@@ -21,20 +22,35 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("bifrost")
 R = TypeVar("R", bound=Message)
+_CLIENTS = 1000  # whose requests are counted; of more, the one that came first is counted anew
 
 
 class Server(Generic[M, R]):
     """Answers the requests of one topic. Made by ``Node.server``.
 
     Attributes:
-        rejected: requests refused since start: of another schema, not decodable, or older than their client waits.
+        rejected: requests refused since start: of another schema, not decodable, older than their client waits, or of
+            one that is muted.
+        left: whether the last ``serve`` may have left something; a ``Poller`` tells of it again.
+        floods: how often a client was muted.
     """
 
     def __init__(
-        self, node: Node, topic: str, request: type[M], reply: type[R], handler: Callable[[M, str], R]
+        self,
+        node: Node,
+        topic: str,
+        request: type[M],
+        reply: type[R],
+        handler: Callable[[M, str], R],
+        *,
+        limit: Limit | None = None,
     ) -> None:
         self.topic = topic
-        self.rejected = 0
+        self.rejected = self.floods = 0
+        self.left = False
+        self._limit = limit
+        self._meters: dict[bytes, Meter] = {}  # by the connection's id
+        self._muted: dict[bytes, tuple[str, float]] = {}  # by it: who, as it says, and until when, monotonic [s]
         self._answered = 0
         self._node = node
         self._request, self._reply = codec(request), codec(reply)
@@ -53,18 +69,22 @@ class Server(Generic[M, R]):
         schemas = [self._request.schema, self._reply.schema]
         self._key = node.discovery.announce(entry, schemas, lambda: (self._answered, 0, self.rejected))
 
-    def serve(self) -> int:
-        """Answer all requests that wait, in this thread; never blocks. Returns how many it answered.
+    def serve(self, most: int = LOOKS) -> int:
+        """Answer the requests that wait, in this thread; never blocks. Returns how many it answered.
 
         What the handler raises goes to the client as a RemoteError, and to the log.
+
+        Args:
+            most: take in so many at most; the rest goes on waiting, see ``left``. Several clients' come in turn.
         """
         answered = 0
-        while True:
+        for _ in range(most):
             try:
                 frames = self.socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
+                self.left = False
                 return answered
-            if len(frames) != 2:
+            if len(frames) != 2 or (self._limit is not None and self._floods(frames[0], frames[1])):
                 self.rejected += 1
                 continue
             answer = self._answer(frames[1])
@@ -75,6 +95,41 @@ class Server(Generic[M, R]):
                     _log.warning("%s: a client went away before its reply", self.topic)
                 answered += 1
                 self._answered += 1
+        self.left = True
+        return answered
+
+    @property
+    def muted(self) -> tuple[str, ...]:
+        """Names of the nodes, as they say, that ask more than the limit allows, and are not answered now."""
+        if self._muted:
+            now = time.monotonic()
+            self._muted = {who: told for who, told in self._muted.items() if told[1] > now}
+        return tuple(sorted({name for name, _ in self._muted.values()}))
+
+    def _floods(self, who: bytes, frame: bytes) -> bool:
+        """Whether a request is one too many of its client, or that one is muted; what is muted and goes on stays so."""
+        assert self._limit is not None
+        meter = self._meters.get(who)
+        if meter is None:
+            if len(self._meters) >= _CLIENTS:
+                del self._meters[next(iter(self._meters))]
+            meter = self._meters[who] = Meter(self._limit)
+        now = time.monotonic()
+        exceeds = meter.exceeds(1, time.monotonic_ns())
+        name, until = self._muted.get(who, ("", 0.0))
+        if exceeds:
+            if not name:
+                name = self._origin(frame)
+                self.floods += 1
+                _log.warning("%s: %s floods it, and is muted while it goes on", self.topic, name)
+            self._muted[who] = (name, now + MUTE)
+        return exceeds or until > now
+
+    def _origin(self, frame: bytes) -> str:
+        """Who asks, by what the request says."""
+        start = len(self._topic) + 1 + wire.REQUEST.size
+        length = frame[start - 1] if len(frame) >= start else 0
+        return frame[start : start + length].decode(errors="replace") or "a client without a name"
 
     @property
     def pollable(self) -> zmq.Socket[bytes]:

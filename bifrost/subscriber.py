@@ -12,8 +12,10 @@ import zmq
 from bifrost.directory import Entry
 from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
-from bifrost.intake import Checked, Intake, Reservoir
+from bifrost.intake import Checked, Intake
+from bifrost.limits import LOOKS, Limit
 from bifrost.messages import M, Message
+from bifrost.reservoir import Reservoir
 
 if TYPE_CHECKING:
     from bifrost.node import Node
@@ -45,7 +47,14 @@ class Subscriber(Generic[M]):
     """Receives the messages of one topic. Made by ``Node.subscriber``."""
 
     def __init__(
-        self, node: Node, topic: str, message_type: type[M] | None, queue: int | None, drop: Drop = "newest"
+        self,
+        node: Node,
+        topic: str,
+        message_type: type[M] | None,
+        queue: int | None,
+        drop: Drop = "newest",
+        *,
+        limit: Limit | None = None,
     ) -> None:
         self.topic = topic
         self._node = node
@@ -55,7 +64,8 @@ class Subscriber(Generic[M]):
         self._undecodable = 0
         self._woken = False
         self._closed = False
-        self._intake = Intake(node, topic, own, queue)
+        self._full = False  # the last look took as many as it was to
+        self._intake = Intake(node, topic, own, queue, limit)
         self._reservoir = (
             Reservoir(self._intake, queue, f"{topic} to {node.name}") if queue and drop == "oldest" else None
         )
@@ -86,8 +96,11 @@ class Subscriber(Generic[M]):
     def latest(self) -> Received[M] | None:
         """The newest message not yet returned, or None; older ones are passed over. Never blocks."""
         while True:
-            while self._pump():
-                pass
+            for _ in range(LOOKS):
+                if not self._pump():
+                    break
+            else:
+                self._full = True
             if not self._waiting:
                 return None
             newest = max(self._waiting)
@@ -142,15 +155,39 @@ class Subscriber(Generic[M]):
         else:
             self._node.discovery.wake(self.topic)
 
-    def drain(self) -> list[Received[M]]:
-        """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks."""
+    def drain(self, most: int | None = None, within: float | None = None) -> list[Received[M]]:
+        """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks.
+
+        Args:
+            most: at most so many; the rest goes on waiting, see ``left``. Those of several publishers come in turn.
+            within: begin with none after so long [s].
+        """
         if not self._keep_all:
             received = self.latest()
             return [] if received is None else [received]
-        messages = []
+        messages: list[Received[M]] = []
+        end = None if within is None else time.monotonic() + within
         while (received := self._next()) is not None:
             messages.append(received)
+            if len(messages) == most or (end is not None and time.monotonic() >= end):
+                self._full = True
+                break
         return messages
+
+    @property
+    def left(self) -> bool:
+        """Whether the last look may have left something waiting; a ``Poller`` tells of it again."""
+        return self._full or self._intake.left
+
+    @property
+    def muted(self) -> tuple[str, ...]:
+        """Names of the nodes that send more than the limit allows, and are not listened to now."""
+        return self._intake.muted
+
+    @property
+    def floods(self) -> int:
+        """How often a publisher was muted since start; what it published meanwhile is in ``drops``."""
+        return self._intake.floods
 
     def fileno(self) -> int:
         """A descriptor for an event loop.
@@ -206,6 +243,7 @@ class Subscriber(Generic[M]):
         """Take one message into ``_waiting``; False when there is none."""
         checked = self._source.now()
         if checked is None:
+            self._full = False
             return False
         self._waiting.append(checked)
         return True

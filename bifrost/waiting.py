@@ -38,6 +38,11 @@ class Lookable(Protocol):
         """Readable when something may have come that has not been looked at."""
         ...
 
+    @property
+    def left(self) -> bool:
+        """Whether the last look may have left something."""
+        ...
+
 
 W = TypeVar("W", bound=Waitable)
 L = TypeVar("L", bound=Lookable)
@@ -90,8 +95,8 @@ class Poller(Generic[L]):
     """Tells which of many may have something, by one system call however many there are.
 
     For a control loop: to find that nothing has come costs as much for ten subscribers as for one, and a tenth of
-    what asking each of them does; to wait for all of them costs no more. What is told must be emptied (``drain``,
-    ``latest``, ``serve``), for it is told once.
+    what asking each of them does; to wait for all of them costs no more. What is told must be looked at (``drain``,
+    ``latest``, ``serve``), for it is told once; what that has left, by a bound of its own, is told again.
     """
 
     def __init__(self, items: Sequence[L]) -> None:
@@ -113,8 +118,11 @@ class Poller(Generic[L]):
         if self._all is not None:
             everything, self._all = self._all, None
             return everything
-        events = self._poll(timeout, self._most)
-        return [self._items[descriptor] for descriptor, _ in events] if events else []
+        left = [item for item in self._items.values() if item.left]
+        events = self._poll(0.0 if left else timeout, self._most)
+        if not left:
+            return [self._items[descriptor] for descriptor, _ in events] if events else []
+        return list(dict.fromkeys((*left, *(self._items[descriptor] for descriptor, _ in events))))
 
     def close(self) -> None:
         """Look no more; closes nothing else."""

@@ -13,6 +13,8 @@ from valor.common.robot import RobotDescription
 
 COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
 MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held
+AT_ONCE = 16  # Motors that a period takes in, at most
+TAKING = 5e-4  # likewise, for how long [s]
 _LOOK_EVERY = 0.05  # while waiting: whether anybody publishes Motor at all [s]
 _HIGHEST_MODE = max(JointMode)
 _LOG_EVERY = 10.0  # of each kind of refusal [s]
@@ -76,8 +78,8 @@ class Commands:
         return self._subscriber.drops
 
     def take(self) -> None:
-        """Admit or refuse everything that waits; never blocks."""
-        for received in self._subscriber.drain():
+        """Admit or refuse what waits, as much as a period may take; never blocks."""
+        for received in self._subscriber.drain(AT_ONCE, TAKING):
             self._consider(received.message, received.origin)
 
     def wait(self, timeout: float, age: int = 0) -> bool:

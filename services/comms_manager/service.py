@@ -6,12 +6,13 @@ import time
 from collections import deque
 
 import bifrost
+from valor.common.floods import STREAM
 from valor.common.messages import ClockStatus, Motor, Proprioceptor
 from valor.common.service import Context, quiet_collector
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
-from valor.comms_manager.commands import Commands
+from valor.comms_manager.commands import AT_ONCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
@@ -27,7 +28,9 @@ class CommsManager:
         node = context.node
         self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
         self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
-        self._commands = Commands(node.subscriber(MOTOR.name, Motor, queue=16), context.robot, self._latch.update)
+        motors = node.subscriber(MOTOR.name, Motor, queue=AT_ONCE, limit=STREAM)
+        self._statistics.watch((motors,))
+        self._commands = Commands(motors, context.robot, self._latch.update)
         self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
         self._backend = make_backend(context)
         # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier

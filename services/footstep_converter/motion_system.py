@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import bifrost
+from valor.common.floods import COMMANDS, STREAM
 from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 from valor.footstep_converter.plan import PlannedStep
 
+AT_ONCE = 64  # step statuses that wait, and are taken in one turn
 ANSWER = 2.0  # the Motion Manager answers a plan within this [s]
 
 
@@ -22,7 +24,8 @@ class MotionSystem:
     def __init__(self, node: bifrost.Node) -> None:
         self._node = node
         self._client = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
-        self._step_status = node.subscriber(STEP_STATUS.name, StepStatus, queue=64)
+        self._step_status = node.subscriber(STEP_STATUS.name, StepStatus, queue=AT_ONCE, limit=COMMANDS)
+        self.heard = (self._step_status,)
         # 500 messages a second: subscribed to only while a plan runs.
         self._motion_state: bifrost.Subscriber[MotionState] | None = None
         self._requests = ThreadPoolExecutor(max_workers=1, thread_name_prefix="requests")
@@ -42,7 +45,7 @@ class MotionSystem:
     def watch(self, watched: bool) -> None:
         """Hear the Motion Manager's behavior, or no longer."""
         if watched and self._motion_state is None:
-            self._motion_state = self._node.subscriber(MOTION_STATE.name, MotionState)
+            self._motion_state = self._node.subscriber(MOTION_STATE.name, MotionState, limit=STREAM)
         elif not watched and self._motion_state is not None:
             self._motion_state.close()
             self._motion_state = None
@@ -53,8 +56,8 @@ class MotionSystem:
         return received.message if received is not None else None
 
     def step_statuses(self) -> list[StepStatus]:
-        """All step statuses that arrived since the last call."""
-        return [received.message for received in self._step_status.drain()]
+        """Step statuses that arrived since the last call."""
+        return [received.message for received in self._step_status.drain(AT_ONCE)]
 
     def close(self) -> None:
         """Wait for the request under way; forget those that wait."""

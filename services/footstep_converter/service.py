@@ -89,6 +89,7 @@ class FootstepConverter:
 
     def run(self) -> None:
         """Serve until told to stop."""
+        self._statistics.watch(self._motion.heard)
         self._statistics.state("ready")
         while not self._stopping.is_set():
             self._turn()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
 import bifrost
+from valor.common.floods import COMMANDS, REQUESTS, STREAM
 from valor.common.messages import (
     BalanceWeights,
     BehaviorReply,
@@ -55,6 +57,9 @@ from valor.common.trace import Stage
 from valor.motion_manager.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
 
+COMMANDS_AT_ONCE = 8  # of one topic, between two looks for a Proprioceptor
+COMMANDS_TIME = 2e-4  # likewise, of all topics together; of each that has any, one at least [s]
+REQUESTS_AT_ONCE = 2  # of one topic, likewise
 SETPOINT_QUEUE = 16  # joints' and pelvis': more than that in one control period are dropped and counted
 VELOCITY_QUEUE = 4  # likewise
 DEMAND_QUEUE = 4  # likewise, of what comes on demand: hand goals, gains, weights
@@ -63,6 +68,7 @@ STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
 NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
 
+M = TypeVar("M", bound=bifrost.Message)
 Input = bifrost.Subscriber[Any] | bifrost.Server[Any, Any]
 
 _log = logging.getLogger("motion_manager")
@@ -83,22 +89,22 @@ class MotionManagerService:
         self._behavior_change = node.publisher(BEHAVIOR_CHANGE.name, MotionState, latched=True)
         self._rejection = node.publisher(REJECTION.name, Rejection)
         self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
-        self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE)
-        self._velocity = node.subscriber(VELOCITY.name, VelocityCommand, queue=VELOCITY_QUEUE)
-        self._pelvis = node.subscriber(PELVIS.name, PelvisSetpoint, queue=SETPOINT_QUEUE)
-        self._hand_goal = node.subscriber(HAND_GOAL.name, HandGoal, queue=DEMAND_QUEUE)
+        self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE, limit=COMMANDS)
+        self._velocity = node.subscriber(VELOCITY.name, VelocityCommand, queue=VELOCITY_QUEUE, limit=COMMANDS)
+        self._pelvis = node.subscriber(PELVIS.name, PelvisSetpoint, queue=SETPOINT_QUEUE, limit=COMMANDS)
+        self._hand_goal = node.subscriber(HAND_GOAL.name, HandGoal, queue=DEMAND_QUEUE, limit=COMMANDS)
         self._hand_status = node.publisher(HAND_GOAL_STATUS.name, HandGoalStatus)
         self._hand_changes = 0
         self._hand_status_due = 0
-        self._gains = node.subscriber(JOINT_GAINS.name, JointGains, queue=DEMAND_QUEUE)
-        self._weights = node.subscriber(BALANCE_WEIGHTS.name, BalanceWeights, queue=DEMAND_QUEUE)
+        self._gains = node.subscriber(JOINT_GAINS.name, JointGains, queue=DEMAND_QUEUE, limit=COMMANDS)
+        self._weights = node.subscriber(BALANCE_WEIGHTS.name, BalanceWeights, queue=DEMAND_QUEUE, limit=COMMANDS)
         self._behavior = node.server(
-            BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle
+            BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle, REQUESTS
         )
         self._footstep_plan = node.server(
-            FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle
+            FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle, REQUESTS
         )
-        self._devices = node.subscriber(DEVICES.name, DeviceStatus)
+        self._devices = node.subscriber(DEVICES.name, DeviceStatus, limit=COMMANDS)
         self._commands: dict[Input, Callable[[], None]] = {
             self._setpoints: self._take_setpoints,
             self._velocity: self._take_velocities,
@@ -108,24 +114,27 @@ class MotionManagerService:
             self._weights: self._take_weights,
         }
         self._requests: dict[Input, Callable[[], object]] = {
-            self._behavior: self._behavior.serve,
-            self._footstep_plan: self._footstep_plan.serve,
+            self._behavior: partial(self._behavior.serve, REQUESTS_AT_ONCE),
+            self._footstep_plan: partial(self._footstep_plan.serve, REQUESTS_AT_ONCE),
             self._devices: self._hear_devices,
         }
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
-        self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, limit=STREAM)
         self._inputs: bifrost.Poller[Input] = bifrost.Poller((self._proprioceptor, *self._commands, *self._requests))
+        self._commands_end = 0.0  # when no more of them are begun with [s]
         self._changes = self._manager.fsm.changes
         self._step_status_due = 0
         self._step_changes = 0
         self._tick_time = 0.0  # of the last tick [s]
         self._statistics.count(self._counts)
+        self._statistics.watch((self._proprioceptor, *self._commands, *self._requests))
 
     def run(self) -> None:
         """Answer every Proprioceptor until told to stop.
 
         Between two of them, commands and requests are dealt with as they come: what came before a Proprioceptor counts
-        in its period, and takes none of its time.
+        in its period, and takes none of its time. However much comes, each turn takes a bounded part of it, of several
+        senders in turn; the rest waits for the next turn, or is dropped and counted.
         """
         quiet_collector()
         if take_real_time(BY_NAME[self._context.name].real_time):
@@ -135,6 +144,7 @@ class MotionManagerService:
         heard = time.monotonic()
         while not self._context.stopping.is_set():
             proprioceptor, began, waiting = self._wait()
+            self._commands_end = time.monotonic() + COMMANDS_TIME
             for item in waiting:
                 if item in self._commands:
                     self._commands[item]()
@@ -228,29 +238,33 @@ class MotionManagerService:
 
     # --- what comes in, handed to those that check it -------------------------------------------------------------
 
+    def _next(self, subscriber: bifrost.Subscriber[M]) -> list[bifrost.Received[M]]:
+        """What is dealt with in this turn of the commands of one topic."""
+        return subscriber.drain(COMMANDS_AT_ONCE, self._commands_end - time.monotonic())
+
     def _take_setpoints(self) -> None:
         manager = self._manager
-        for received in self._setpoints.drain():
+        for received in self._next(self._setpoints):
             manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
 
     def _take_velocities(self) -> None:
-        for received in self._velocity.drain():
+        for received in self._next(self._velocity):
             self._manager.velocity_handler.handle(received, self._manager.time)
 
     def _take_pelvis(self) -> None:
-        for received in self._pelvis.drain():
+        for received in self._next(self._pelvis):
             self._manager.pelvis_handler.handle(received, self._manager.time)
 
     def _take_hand_goals(self) -> None:
-        for received in self._hand_goal.drain():
+        for received in self._next(self._hand_goal):
             self._manager.hand_goal_handler.handle(received, self._manager.time)
 
     def _take_gains(self) -> None:
-        for received in self._gains.drain():
+        for received in self._next(self._gains):
             self._manager.tuning_handler.handle_gains(received)
 
     def _take_weights(self) -> None:
-        for received in self._weights.drain():
+        for received in self._next(self._weights):
             self._manager.tuning_handler.handle_weights(received)
 
     def _hear_devices(self) -> None:

@@ -136,6 +136,7 @@ class ValorRosController:
             (tree.base_frame, tree.base),
             soft_stop=lambda: mode_controller.request(SOFT_STOP),
         )
+        context.statistics.watch((*self._interface.heard, *self._bypass.heard))
         self._motion = MotionStatePublisher(node, self._stamp, rate)
         self._status = RobotStatusPublisher(node, self._interface)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)

@@ -15,6 +15,7 @@ import numpy as np
 
 import bifrost
 from valor.common import topics
+from valor.common.floods import COMMANDS, STREAM
 from valor.common.messages import (
     ControlModeReport,
     JointSetpoints,
@@ -75,9 +76,10 @@ class ValorEscherInterface:
         self._decimation = decimation
         self._timeout = silence_timeout
         self._n = len(hw.robot.joints)
-        self._proprioceptor = node.subscriber(topics.PROPRIOCEPTOR.name, Proprioceptor)
-        self._motion_state = node.subscriber(topics.MOTION_STATE.name, MotionState)
-        self._step_status = node.subscriber(topics.STEP_STATUS.name, StepStatus)
+        self._proprioceptor = node.subscriber(topics.PROPRIOCEPTOR.name, Proprioceptor, limit=STREAM)
+        self._motion_state = node.subscriber(topics.MOTION_STATE.name, MotionState, limit=STREAM)
+        self._step_status = node.subscriber(topics.STEP_STATUS.name, StepStatus, limit=COMMANDS)
+        self.heard = (self._proprioceptor, self._motion_state, self._step_status)
         self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
         self._pelvis = node.publisher(topics.PELVIS.name, PelvisSetpoint)
         self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport, latched=True)

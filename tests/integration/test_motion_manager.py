@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -51,6 +52,8 @@ FORWARD = np.array([ROBOT.tables.arm_presets["forward"]["right"][name] for name 
 LEGS = {*ROBOT.tables.groups["left_leg"], *ROBOT.tables.groups["right_leg"]}
 HELD = 0.05  # of a joint that is held while nobody commands it: it sags a little [rad]
 DAMPING_ALONE = 15.0  # of limp joints, which sink slowly, and the sensors' noise [N·m]
+FLOODED = f"flooder floods {JOINT_SETPOINTS.name}"
+MISSED = 50  # periods in a row that a busy machine may cost
 STANDING = 0.7  # the pelvis of a standing robot is higher [m]
 
 
@@ -443,6 +446,41 @@ def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(system: Moti
 
     wait_until(play, 20.0, "the replay refused")
     assert system.pass_time(1.0).behavior == Behavior.STAND
+    assert system.height > STANDING
+
+
+def test_who_floods_is_named_and_muted_while_the_motors_go_on(system: MotionSystem) -> None:
+    """As many set-points as a loop can send; another sender leads the arm meanwhile."""
+    system.go(Behavior.STAND_MANIPULATE)
+    flooder = system.instance.node("flooder").publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    nothing = np.zeros(1)
+    stale = JointSetpoints(time=1, names=["neck_yaw"], position=nothing, velocity=nothing, acceleration=nothing)
+    stop = threading.Event()
+
+    def flood() -> None:
+        while not stop.is_set():
+            flooder.publish(stale)
+
+    def named() -> bool:
+        told = system._statistics.latest()
+        return told is not None and told.message.state == "degraded" and FLOODED in told.message.detail
+
+    thread = threading.Thread(target=flood)
+    system.forget()
+    thread.start()
+    try:
+        wait_until(named, 20.0, "the flooder is named")
+        system.lead(
+            dict(zip(ARM, FORWARD, strict=True)),
+            lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], FORWARD, atol=0.05)),
+            "the right arm forward, led by another",
+        )
+    finally:
+        stop.set()
+        thread.join()
+    periods = np.diff([state.proprioceptor_sequence for state in system.history])
+    assert periods.max() <= MISSED, f"{periods.max()} periods without a Motor"
+    assert system.go(Behavior.STAND).behavior == Behavior.STAND
     assert system.height > STANDING
 
 

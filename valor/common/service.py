@@ -15,12 +15,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import FrameType
 from typing import Protocol, Self
 
 import bifrost
 from valor.common.errors import ConfigurationError
+from valor.common.floods import Floods, Input
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
 from valor.common.priority import take_cores, take_priority, take_turns
@@ -99,6 +100,7 @@ class StatisticsPublisher:
         self._cycles = self._overruns = 0
         self.drops = self.rejected = 0
         self._count: Callable[[], tuple[int, int]] | None = None
+        self._floods = Floods(())
         self._last_cycle = 0.0
         self._reset(time.perf_counter())
 
@@ -124,6 +126,10 @@ class StatisticsPublisher:
     def count(self, counts: Callable[[], tuple[int, int]]) -> None:
         """Ask for ``rejected`` and ``drops`` when they are told, so that a loop need not sum them up every cycle."""
         self._count = counts
+
+    def watch(self, inputs: Iterable[Input]) -> None:
+        """Be ``degraded`` in place of ``ready`` while a sender floods one of these, and name it."""
+        self._floods = Floods(inputs)
 
     def cycle(self, began: float, waited: float = 0.0) -> None:
         """Count a cycle that began at ``began`` [``time.perf_counter()``, s; Linux: the monotonic clock] and ends now.
@@ -154,13 +160,16 @@ class StatisticsPublisher:
     def _publish(self, now: float) -> None:
         if self._count is not None:
             self.rejected, self.drops = self._count()
+        state, detail = self._state, self._detail
+        if state == "ready" and (flood := self._floods.told()):
+            state, detail = "degraded", flood
         cycles = max(1, self._window_cycles)
         cpu_time = time.process_time()
         newest = Statistics(
             service=self._service,
             pid=os.getpid(),
-            state=self._state,
-            detail=self._detail,
+            state=state,
+            detail=detail,
             cycles=self._cycles,
             cycle_time_mean=self._work_sum / cycles,
             cycle_time_max=self._work_max,

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import bifrost
+from valor.common.floods import REQUESTS
 from valor.common.messages import PushReply, PushRequest
 from valor.common.topics import PUSH
 from valor.simulation.plant import Plant
 
+AT_ONCE = 4  # requests that are answered in one period, at most
 DEFAULT_DURATION = 0.1  # where the request says 0 [s]
 LONGEST = 2.0  # [s]
 LARGEST = 500.0  # [N·s]
@@ -24,13 +26,13 @@ class PushServer:
     def __init__(self, node: bifrost.Node, plant: Plant) -> None:
         self._plant = plant
         self._time = 0
-        self._server = node.server(PUSH.name, PushRequest, PushReply, self._push)
+        self._server = node.server(PUSH.name, PushRequest, PushReply, self._push, REQUESTS)
         self.refused = 0
 
     def serve(self, time: int) -> None:
         """Answer what waits, at that robot time [ns]; 0: robot time has not begun."""
         self._time = time
-        self._server.serve()
+        self._server.serve(AT_ONCE)
 
     def _push(self, request: PushRequest, origin: str) -> PushReply:
         reason = self._fault(request)

@@ -33,6 +33,7 @@ from valor_msgs.msg import JointGains as RosJointGains
 from valor_msgs.msg import Rejection as RosRejection
 
 import bifrost
+from valor.common.floods import COMMANDS
 from valor.common.messages import (
     BalanceWeights,
     HandGoal,
@@ -64,6 +65,7 @@ SUPPORT = "support"
 WALKING = frozenset({"walk", "walk_manipulate"})  # control modes
 HANDS = ("l_hand", "r_hand")
 QUEUE = 10  # commands on demand that wait for the update loop; more, and the oldest are let go
+AT_ONCE = 2  # of them, in one cycle
 LOOK = 5  # what comes back from the Motion System is looked for at every so many cycles
 NORM = 1e-2  # most that a quaternion's norm may be off
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -110,8 +112,9 @@ class ControllerBypass:
         self._hand_goal = node.publisher(HAND_GOAL.name, HandGoal)
         self._gains = node.publisher(JOINT_GAINS.name, JointGains)
         self._weights = node.publisher(BALANCE_WEIGHTS.name, BalanceWeights)
-        self._statuses = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=5 * QUEUE)
-        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=5 * QUEUE)
+        self._statuses = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=5 * QUEUE, limit=COMMANDS)
+        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=5 * QUEUE, limit=COMMANDS)
+        self.heard = (self._statuses, self._rejections)
         ros.create_subscription(Twist, CMD_VEL, self._newest.write, 1)
         ros.create_subscription(PoseStamped, PELVIS_GOAL, self._move_pelvis, 1)
         ros.create_subscription(Empty, "/flor/controller/soft_stop", lambda _: soft_stop(), 1)
@@ -127,14 +130,14 @@ class ControllerBypass:
 
     def update(self, control_mode: str, hw: ValorEscherHWInterface) -> None:
         """Pass on what is new, both ways."""
-        while self._waiting:
+        for _ in range(min(len(self._waiting), AT_ONCE)):
             self._waiting.popleft()(hw)
         self._cycle = (self._cycle + 1) % LOOK
         if self._cycle == 0:
-            for status in self._statuses.drain():
+            for status in self._statuses.drain(QUEUE):
                 if 0 <= status.message.hand < len(HANDS):
                     self._hand_status[status.message.hand].publish(status)
-            for rejection in self._rejections.drain():
+            for rejection in self._rejections.drain(QUEUE):
                 self._tell(rejection)
         twist = self._newest.read()
         if twist is None or control_mode not in WALKING:

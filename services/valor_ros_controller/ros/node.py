@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
@@ -11,6 +12,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from valor.common.errors import ConfigurationError
+
+PERIOD = 4e-3  # that of the update loop [s]
+CALLBACKS = 10  # in one
 
 _log = logging.getLogger("ros")
 
@@ -46,8 +50,19 @@ class RosThread(threading.Thread):
         self._executor.add_node(self.node)
 
     def run(self) -> None:
-        """The thread."""
+        """The thread: so many callbacks a period at most, for it shares the interpreter with the update loop.
+
+        What comes quicker waits in ROS' own queues, which keep the newest.
+        """
+        done, until = 0, 0.0
         while not self._closing:
+            now = time.monotonic()
+            if now >= until:
+                done, until = 0, now + PERIOD
+            elif done >= CALLBACKS:
+                time.sleep(until - now)
+                continue
+            done += 1
             try:
                 self._executor.spin_once()
             except (ExternalShutdownException, ShutdownException):
