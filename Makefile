@@ -76,14 +76,14 @@ endef
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other, the rest
-# beside them and told when both are done. pytest keeps what it has compiled for the next run, even where
+# Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other; beside
+# them the rest, and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even where
 # PYTHONDONTWRITEBYTECODE is set.
-ROBOTLESS := $(wildcard $(patsubst %,tests/integration/test_%.py,bag_recorder footstep_converter getting_up wheels))
+BESIDE := $(wildcard $(patsubst %,tests/integration/test_%.py,bag_recorder footstep_converter getting_up installed wheels))
 TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 test: $(STAMP) lint
-	@$(TESTS) tests/unit tests/bifrost tests/conformance $(ROBOTLESS) >build/tests.log 2>&1 & rest=$$!; status=0; \
-	$(TESTS) tests/integration $(addprefix --ignore ,$(ROBOTLESS)) || status=1; \
+	@$(TESTS) tests/unit tests/bifrost tests/conformance $(BESIDE) >build/tests.log 2>&1 & rest=$$!; status=0; \
+	$(TESTS) tests/integration $(addprefix --ignore ,$(BESIDE)) || status=1; \
 	wait $$rest || status=1; \
 	cat build/tests.log; exit $$status
 
