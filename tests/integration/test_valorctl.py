@@ -384,8 +384,8 @@ def test_an_interrupted_up_leaves_nothing(ctl: Cli, signum: signal.Signals) -> N
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
-        ("robot.yaml", ("sole: l_sole", "sole: r_sole"), ["robot.yaml:15:", "feet.left.sole"]),
-        ("model.xml", ("<worldbody>", "<worldbody><body/>"), ["model.xml"]),
+        ("robot.yaml", ("l_foot, sole: l_sole", "l_foot, sole: l_gripper"), ["robot.yaml:15:", "feet.left.sole"]),
+        ("model.xml", ("<worldbody>", "<worldbody><nobody/>"), ["model.xml"]),
         ("get_up.yaml", ("face_down:", "face_up:"), ["motion_manager did not start", "get_up.yaml", "face_up"]),
     ],
 )

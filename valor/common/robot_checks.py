@@ -105,33 +105,41 @@ def sites_are_on_their_bodies(stance: Stance) -> Iterator[TableError]:
             yield TableError(path, f"got {site!r}, which is on {found}; expected a site on {body}")
 
 
+def torso_is_below_the_chest(stance: Stance) -> Iterator[TableError]:
+    """The torso is the joints between base and chest."""
+    yield from _differing(stance, "torso", stance.above(stance.model.body(stance.robot.tables.chest)))
+
+
+def _differing(stance: Stance, group: str, chain: list[str]) -> Iterator[TableError]:
+    if odd := sorted(set(stance.robot.tables.groups[group]) ^ set(chain)):
+        yield TableError(("groups", group), f"expected {', '.join(chain) or 'none'}; in one of both only: {odd}")
+
+
 def sides_are_where_they_are_said_to_be(stance: Stance) -> Iterator[TableError]:
-    """Left of the base is left, y > 0."""
-    tables = stance.robot.tables
-    origin, rotation = stance.base
-    for limbs, key in (("feet", "sole"), ("hands", "site")):
-        for side, sign in zip(SIDES, (1, -1), strict=True):
-            name = getattr(getattr(getattr(tables, limbs), side), key)
-            lateral = float((stance.site(name)[0] - origin) @ rotation[:, 1])
-            if lateral * sign <= 0:
-                what = f"got {name!r}, {abs(lateral):.2f} m to the other side of the base; expected the {side} one"
-                yield TableError((limbs, side, key), what)
+    """Left of the base is left, y > 0: soles, and the shoulders of the hands, which may cross."""
+    tables, body = stance.robot.tables, stance.model.body
+    torso = stance.above(body(tables.chest))
+    for side in SIDES:
+        foot, hand = stance.foot(side), getattr(tables.hands, side)
+        arm = [name for name in stance.above(body(hand.body)) if name not in torso]
+        places = [("feet", foot.body, stance.site(foot.sole)[0])]
+        places += [("hands", hand.body, stance.data.joint(name).xanchor) for name in arm[:1]]
+        for limbs, name, place in places:
+            lateral = float((place - stance.base[0]) @ stance.base[1][:, 1])
+            if lateral * (1 if side == "left" else -1) <= 0:
+                what = f"got {name!r}, which is {abs(lateral):.2f} m to the other side; expected the {side} one"
+                yield TableError((limbs, side, "body"), what)
 
 
 def groups_are_what_they_are_called(stance: Stance) -> Iterator[TableError]:
-    """Legs, torso and arms are the joints between the base and the feet, chest and hands; hands and neck lie beyond."""
+    """Legs and arms are the joints between base and feet, chest and hands; fingers and neck lie beyond."""
     tables, body = stance.robot.tables, stance.model.body
     groups = tables.groups
     torso = stance.above(body(tables.chest))
-    chains = {"torso": torso}
     for side in SIDES:
-        chains[f"{side}_leg"] = stance.above(body(stance.foot(side).body))
+        yield from _differing(stance, f"{side}_leg", stance.above(body(stance.foot(side).body)))
         hand = stance.above(body(getattr(tables.hands, side).body))
-        chains[f"{side}_arm"] = [name for name in hand if name not in torso]
-    for group, chain in chains.items():
-        if set(groups[group]) != set(chain):
-            odd = sorted(set(groups[group]) ^ set(chain))
-            yield TableError(("groups", group), f"expected {', '.join(chain) or 'none'}; in one of both only: {odd}")
+        yield from _differing(stance, f"{side}_arm", [name for name in hand if name not in torso])
     beyond = {f"{side}_hand": getattr(tables.hands, side).body for side in SIDES} | {"neck": tables.chest}
     for group, root in beyond.items():
         for place, name in enumerate(groups[group]):
@@ -197,7 +205,11 @@ def _footprint(stance: Stance, foot: Foot) -> FloatVector:
 
 
 def feet_stand_apart(stance: Stance) -> Iterator[TableError]:
-    """In the nominal posture the soles do not stand on each other."""
+    """In the nominal posture, and as narrow as steps may be, the soles do not stand on each other."""
+    footsteps, width = stance.robot.tables.footsteps, sum(stance.foot(side).half_width for side in SIDES)
+    if footsteps is not None and footsteps.min_width < width:
+        what = f"got {footsteps.min_width}; expected at least {width:g}, at which the soles touch"
+        yield TableError(("footsteps", "min_width"), what)
     if soles.overlap(*(stance.outline(side) for side in SIDES)):
         yield TableError(("nominal_posture",), "puts one sole on the other; expected them apart")
 
@@ -320,6 +332,7 @@ def servos_are_damped(stance: Stance) -> Iterator[TableError]:
 
 CHECKS: tuple[Callable[[Stance], Iterator[TableError]], ...] = (
     sites_are_on_their_bodies,
+    torso_is_below_the_chest,
     sides_are_where_they_are_said_to_be,
     groups_are_what_they_are_called,
     soles_stand_on_the_ground,

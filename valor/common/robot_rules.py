@@ -109,9 +109,6 @@ def steps_fit_each_other(tables: RobotTables) -> Iterator[TableError]:
     if footsteps is not None and not footsteps.min_width <= walking.step_width <= footsteps.max_width:
         what = f"got {walking.step_width}; expected {footsteps.min_width} to {footsteps.max_width}, as footsteps says"
         yield TableError(("walking", "step_width"), what)
-    if footsteps is not None and footsteps.min_width < tables.feet.left.half_width + tables.feet.right.half_width:
-        what = f"got {footsteps.min_width}; expected at least a sole's width, or the feet stand on each other"
-        yield TableError(("footsteps", "min_width"), what)
 
 
 def every_joint_has_one_device(tables: RobotTables) -> Iterator[TableError]:

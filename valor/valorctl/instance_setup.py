@@ -15,7 +15,8 @@ import msgspec
 
 import bifrost
 from valor.common import recordings, whole_file
-from valor.common.errors import ConfigurationError, ValorError, require_one_of
+from valor.common.document import Document
+from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import ClockMode, Instance, Recording, Settings
 from valor.common.processes import RECORDER
 from valor.common.resources import profile_file, robot_folder
@@ -62,10 +63,11 @@ def plan(request: Request) -> Plan:
     Raises:
         ConfigurationError: names the file or option and what was expected.
     """
-    profile = Profile.load(profile_file(request.profile))
+    file = profile_file(request.profile)
+    profile = Profile.load(file)
     defaults = profile.defaults
-    robot = RobotDescription.load(robot_folder(request.robot or defaults.robot), profile.control_rate)
-    _check(robot, profile)
+    robot = RobotDescription.load(_robot_folder(request, defaults.robot, file), profile.control_rate)
+    _check(robot, profile, file)
     settings = Settings(
         profile=request.profile,
         variant=profile.variant,
@@ -81,8 +83,11 @@ def plan(request: Request) -> Plan:
         bag=_bag(request.bag),
         recording=msgspec.structs.replace(request.recording, bounds=_bounds(request, profile)),
     )
-    require_one_of("--actuators", settings.actuators, robot.tables.actuators)
-    require_one_of("--world", settings.world, WORLD_NAMES)
+    for key, known in (("actuators", robot.tables.actuators), ("world", WORLD_NAMES)):
+        if getattr(request, key) is not None:
+            require_one_of(f"--{key}", getattr(request, key), known)
+        elif (default := getattr(defaults, key)) not in known:
+            raise Document.load(file).error(("defaults", key), expected(default, known))
     if request.no_bag:
         _expect_no_bag_options(request)
         profile = profile.without(RECORDER)
@@ -96,8 +101,21 @@ def plan(request: Request) -> Plan:
     return Plan(profile.suiting(robot), settings, initial_mode or None)
 
 
-def _check(robot: RobotDescription, profile: Profile) -> None:
-    """A robot that somebody is to move must be one that can stand, and a simulation keeps its periods."""
+def _robot_folder(request: Request, default: str, file: Path) -> Path:
+    if request.robot is not None:
+        return robot_folder(request.robot)
+    try:
+        return robot_folder(default)
+    except ConfigurationError as error:
+        raise Document.load(file).error(("defaults", "robot"), str(error)) from None
+
+
+def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
+    """A robot that somebody is to move must be one that can stand, and profile and robot must fit each other."""
+    known = [f"can{device.bus}" if hasattr(device, "bus") else name for name, device in robot.tables.devices.items()]
+    for port in profile.ports:
+        if port not in known:
+            raise Document.load(file).error(("ports", port), expected(port, known))
     if not {"comms_manager", "motion_manager"}.intersection(profile.processes):
         return
     from valor.common import robot_checks  # with MuJoCo: a fifth of a second
