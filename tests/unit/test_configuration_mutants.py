@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS, examples
-from valor.common import resources, robot_checks
+from tests.conftest import REPOSITORY, ROBOTS, examples
+from valor.common import resources, robot_checks, robot_rules
 from valor.common.errors import ConfigurationError
 from valor.common.robot import RobotDescription
 from valor.valorctl import instance_setup
@@ -314,6 +314,14 @@ def test_a_profile_that_cannot_be_right_is_refused(tmp_path: Path, mutant: Mutan
 @pytest.mark.parametrize("robot", resources.robots())
 def test_ours_are_right(robot: str, profile: str) -> None:
     instance_setup.plan(Request(robot=robot, profile=profile))
+
+
+def test_the_documentation_has_every_check() -> None:
+    text = (REPOSITORY / "docs" / "adding-a-robot.md").read_text()
+    listed = re.findall(r"^- (.+)$", text.partition("## What `up` refuses")[2].partition("## Check")[0], re.MULTILINE)
+    assert listed == [
+        (each.__doc__ or "").splitlines()[0].replace("``", "`") for each in (*robot_rules.RULES, *robot_checks.CHECKS)
+    ]
 
 
 LINES = (ESCHER / "robot.yaml").read_text().splitlines(keepends=True)
