@@ -90,6 +90,15 @@ ROBOT: dict[str, Mutant] = {
     "the waist in an arm": Mutant(
         (("torso: [waist_yaw]", "torso: []"), ("left_arm: [", "left_arm: [waist_yaw, ")), "devices.legs", "waist_yaw"
     ),
+    "the lidar in a hand": Mutant(
+        (
+            ("lidar: [lidar_roll]", "lidar: []"),
+            ("left_hand: [", "left_hand: [lidar_roll, "),
+            ("      - { id: 3, joint: lidar_roll, model: XM430-W350, firmware: 46, zero: 2048, spin: 1.0 }\n", ""),
+        ),
+        "groups.left_hand.0",
+        "beyond l_hand",
+    ),
     "another chest": Mutant(("chest: chest\n", "chest: l_foot\n"), "groups.torso", "expected"),
     "another base": Mutant(("base: pelvis", "base: chest"), "base", "pelvis"),
     "no such head": Mutant(("head: head\n", "head: skull\n"), "head", "got 'skull'"),
@@ -156,6 +165,15 @@ ROBOT: dict[str, Mutant] = {
     "a base in centimetres": Mutant(("height: 0.8050", "height: 80.5"), "nominal_base_height", "expected 0.8050"),
     "one knee straight": Mutant(("  l_knee_pitch: 0.9719", "  l_knee_pitch: 0.1"), "nominal_posture"),
     "feet that tilt": Mutant(("  l_ankle_pitch: -0.5026", "  l_ankle_pitch: -0.4"), "nominal_posture", "tilts l_sole"),
+    "leaning over the toes": Mutant(
+        (
+            *((f"  {side}_hip_pitch: -0.4693", f"  {side}_hip_pitch: -0.25") for side in "lr"),
+            *((f"  {side}_ankle_pitch: -0.5026", f"  {side}_ankle_pitch: -0.7219") for side in "lr"),
+            ("height: 0.8050", "height: 0.785"),
+        ),
+        "nominal_posture",
+        "CoM -0.003 m inside",
+    ),
     "an unknown joint in the posture": Mutant(
         ("  l_elbow_pitch: 0.5\n", "  l_elbow: 0.5\n"), "nominal_posture.l_elbow"
     ),

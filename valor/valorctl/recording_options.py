@@ -48,7 +48,7 @@ def recording(
     try:
         return checked(Recording, values)
     except TableError as error:
-        raise ConfigurationError(_told(_OPTIONS.get(error.key, error.key), error, values.get(error.key))) from None
+        raise ConfigurationError(f"{_OPTIONS.get(error.key, error.key)}: {error.what}") from None
 
 
 def bounds(words: Sequence[str], base: Bounds, where: str = BOUND) -> Bounds:
@@ -72,7 +72,7 @@ def bounds(words: Sequence[str], base: Bounds, where: str = BOUND) -> Bounds:
     try:
         return checked(Bounds, plain(base) | values)
     except TableError as error:
-        raise ConfigurationError(_told(where, error, values.get(error.key))) from None
+        raise ConfigurationError(f"{where}: {error.what}") from None
 
 
 def _amounts(where: str, words: Sequence[str], keys: dict[str, str], expected: str) -> dict[str, Any]:
@@ -87,8 +87,3 @@ def _amounts(where: str, words: Sequence[str], keys: dict[str, str], expected: s
             raise ConfigurationError(f"{where} {word}: expected one of each kind at most: {expected}")
         values[keys[kind]] = float(match["number"]) * factor
     return values
-
-
-def _told(where: str, error: TableError, value: object) -> str:
-    got = "" if ", got " in error.what else f", got {value}"
-    return f"{where}: {error.what}{got}"
