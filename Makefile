@@ -96,12 +96,12 @@ test-pythons: $(STAMP)
 	.ci/pythons $(PYTHON_VERSION) $(PYTHONS)
 
 # A robot for MINUTES, or STEPS, that is told all sorts of things while all sorts of things happen to it; ends with a table,
-# and with how to see again what failed. FIRST is the step to begin with.
+# and with how to see again what failed. FIRST is the step to begin with; CYCLES=20 is that often up and down, and nothing else.
 MINUTES ?= 60
 PROFILE ?= sim
 soak: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --minutes $(MINUTES) --seed $(or $(SEED),0) --profile $(PROFILE) \
-	  --first $(or $(FIRST),0) $(if $(STEPS),--steps $(STEPS))
+	  --first $(or $(FIRST),0) $(if $(STEPS),--steps $(STEPS)) $(if $(CYCLES),--cycles $(CYCLES))
 
 # The rows of docs/reliability.md, measured again (hours; ROWS="'walking/kill motion_manager'" for some), into a file.
 reliability: $(STAMP)

@@ -7,6 +7,8 @@ import json
 import os
 import random
 import shutil
+import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -16,9 +18,11 @@ from pathlib import Path
 from statistics import median
 
 from tests.soak.activities import ACTIVITIES
-from tests.soak.rig import Rig
+from tests.soak.checks import in_logs
+from tests.soak.rig import BrokenError, Rig
 from tests.soak.rows import everything
 from tests.soak.run import Outcome, Soak
+from valor.common.errors import ValorError
 
 
 def main() -> int:
@@ -26,6 +30,8 @@ def main() -> int:
     arguments = _arguments()
     home = Path(tempfile.mkdtemp(prefix="soak-"))
     rig = Rig(home, arguments.profile, "--robot", arguments.robot, "--seed", str(arguments.seed))
+    if arguments.cycles:
+        return _cycle(rig, arguments.cycles)
     done: list[Outcome] = []
     rest: list[str] = []
     began = time.monotonic()
@@ -35,8 +41,13 @@ def main() -> int:
             outcome = soak.step(activity, event, rng)
             done.append(outcome)
             print(f"{time.monotonic() - began:6.0f} s  step {number}  {outcome.line()}", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted")
+    except (AssertionError, ValorError, BrokenError, subprocess.TimeoutExpired) as error:
+        rest.append(f"cannot go on: {error}")
     finally:
-        rest = soak.close()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever is impatient would leave a system behind
+        rest += soak.close()
     if arguments.out:
         _write(arguments.out, arguments.profile, done)
     failed = _report(done, rest, arguments)
@@ -57,6 +68,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--rows", nargs="*", metavar="ACTIVITY/EVENT", help="these alone, each --times; none: all")
     parser.add_argument("--times", type=int, default=5)
+    parser.add_argument("--cycles", type=int, default=0, help="nothing but so many times up and down")
     parser.add_argument("--out", type=Path, help="add what was measured to this file")
     return parser.parse_args()
 
@@ -75,6 +87,26 @@ def _plan(arguments: argparse.Namespace, soak: Soak, began: float) -> Iterator[t
         rng = random.Random(f"{arguments.seed}/{number}")
         yield *soak.choose(rng), rng
         number += 1
+
+
+def _cycle(rig: Rig, cycles: int) -> int:
+    """Up and down; returns 1 where something was left, once or growing."""
+    found: list[str] = []
+    times: list[tuple[float, float]] = []
+    for _ in range(cycles):
+        began = time.monotonic()
+        rig.up()
+        up = time.monotonic()
+        found += rig.down()
+        times.append((up - began, time.monotonic() - up))
+        print(f"up {times[-1][0]:.1f} s, down {times[-1][1]:.1f} s", flush=True)
+    found += in_logs(rig.instance.logs)
+    for verb, column in (("up", 0), ("down", 1)):
+        taken = [each[column] for each in times]
+        print(f"{verb}: median {median(taken):.1f} s, worst {max(taken):.1f} s of {cycles}")
+    print(*found, sep="\n")
+    shutil.rmtree(rig.home)
+    return bool(found)
 
 
 def _write(file: Path, profile: str, done: list[Outcome]) -> None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import bifrost
 from tests.soak.activities import ACTIVITIES, Activity, Going
 from tests.soak.checks import GROWTH, growth, in_logs
 from tests.soak.events import Event, events
@@ -31,6 +32,7 @@ class Outcome:
         activity, event: names in their tables.
         before, after: behaviors.
         ready: from the end of the event until everything was ready again [s].
+        last: what was waited for last.
         stands: from then until the robot stood, by commands [s]; NaN: another ``up`` was needed.
         moved: the largest movement of a joint, until somebody commanded [rad].
         failures: what was not as it must be.
@@ -41,6 +43,7 @@ class Outcome:
     before: str = ""
     after: str = ""
     ready: float = float("nan")
+    last: str = ""
     stands: float = float("nan")
     moved: float = float("nan")
     failures: list[str] = field(default_factory=list)
@@ -48,8 +51,9 @@ class Outcome:
     def line(self) -> str:
         """For people."""
         failed = "; ".join(f"FAILED: {each}" for each in self.failures)
+        of = f" ({self.last})" if self.last else ""
         return (
-            f"{self.activity} × {self.event}: {self.before} → {self.after}, ready after {self.ready:.2f} s, "
+            f"{self.activity} × {self.event}: {self.before} → {self.after}, ready after {self.ready:.2f} s{of}, "
             f"stands after {self.stands:.1f} s{'; ' if failed else ''}{failed}"
         )
 
@@ -59,7 +63,8 @@ class Soak:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._bring_up()
+        self._missing = ""
+        rig.up()
         self.events = events(list(rig.pids()))
 
     def choose(self, rng: random.Random) -> tuple[str, str]:
@@ -73,20 +78,18 @@ class Soak:
         """Make one; the robot stands before and afterwards."""
         outcome = Outcome(activity, event)
         going: Going | None = None
-        broken = False
         try:
             going = ACTIVITIES[activity].begin(self._rig, rng)
             time.sleep(rng.uniform(0.0, 1.5))
             self._happen(outcome, ACTIVITIES[activity], self.events[event], rng)
-        except (BrokenError, ValorError, TimeoutError) as error:
+        except (BrokenError, ValorError, bifrost.Error, TimeoutError) as error:
             outcome.failures.append(str(error))
-            broken = True
         finally:
             if going is not None:
                 going.end()
         if going is not None and event == "nothing" and going.trouble:
             outcome.failures.append(f"{activity}: {going.trouble}")
-        self._back(outcome, broken)
+        self._back(outcome)
         return outcome
 
     def _happen(self, outcome: Outcome, activity: Activity, event: Event, rng: random.Random) -> None:
@@ -97,7 +100,11 @@ class Soak:
         rig.tap.mark()
         outcome.failures += event.happen(rig, rng, event.process)
         ended = time.monotonic()
-        rig.wait(lambda: self._recovered(event, pid, ended), f"all well again; missing: {self.missing}", RECOVERED)
+        self._missing = ""
+        try:
+            rig.wait(lambda: self._recovered(event, pid, ended), "all well again", RECOVERED)
+        finally:
+            outcome.last = self._missing
         outcome.ready = time.monotonic() - ended
         self._quiet()
         outcome.after = rig.behavior
@@ -107,21 +114,22 @@ class Soak:
         another_world = event.kind == "kill" and event.process in _NEW_WORLD
         if event.kind and activity.held and before not in STEPPING and not another_world and outcome.moved > HELD:
             outcome.failures.append(f"{joint} moved {outcome.moved:.3f} rad")
+        if rig.behavior is Behavior.FALL and not rig.system.status()["fallen"]:
+            outcome.failures.append("has fallen, and `valorctl status` does not say so")
         if rig.tap.height < LOW and rig.behavior in UPRIGHT:
             outcome.failures.append(f"lies on the floor (pelvis at {rig.tap.height:.2f} m) and says {rig.behavior}")
 
     def _reason(self) -> str:
         return self._rig.tap.state.reason if self._rig.tap.state else ""
 
-    missing = ""
-
     def _recovered(self, event: Event, pid: int, since: float) -> bool:
         rig = self._rig
         unready = rig.unready(event.process if event.kind else "", pid if event.kind == "kill" else 0, since)
         lost = [] if time.monotonic() - rig.tap.heard < FRESH else ["MotionState"]
         unfit = [] if rig.modes.fit(rig.tap.mode, rig.behavior) or event.commands else [f"mode {rig.tap.mode}"]
-        self.missing = ", ".join([*unready, *lost, *unfit])
-        return not self.missing
+        missing = ", ".join([*unready, *lost, *unfit])
+        self._missing = missing or self._missing
+        return not missing
 
     def _quiet(self) -> None:
         """Nothing is asked for a while; what is reported then must fit."""
@@ -130,7 +138,7 @@ class Soak:
         rig.wait(lambda: not began <= rig.time < began + QUIET, "robot time going on")
         rig.wait(lambda: rig.modes.fit(rig.tap.mode, rig.behavior), f"mode {rig.tap.mode} fitting {rig.behavior}", 20.0)
 
-    def _back(self, outcome: Outcome, broken: bool) -> None:
+    def _back(self, outcome: Outcome) -> None:
         rig = self._rig
         began = time.monotonic()
         lost = True
@@ -142,12 +150,9 @@ class Soak:
         rig.sample()
         if lost:
             outcome.failures += self.close()
-            self._bring_up()
+            rig.up()
         else:
             outcome.stands = time.monotonic() - began
-
-    def _bring_up(self) -> None:
-        self._rig.up()
 
     def close(self) -> list[str]:
         """Take the system down; returns what was not as it must be over all of its life."""
