@@ -265,7 +265,7 @@ PROFILE: dict[str, Mutant] = {
     "off": Mutant(("initial_mode: stand ", "initial_mode: off "), "initial_mode", "got off"),
     "7 Hz": Mutant(("initial_mode:", "control_rate: 7\ninitial_mode:"), "control_rate", "got 7"),
     "a rate of no whole steps": Mutant(
-        ("initial_mode:", "control_rate: 300\ninitial_mode:"), "physics_step", "0.00333"
+        ("initial_mode:", "control_rate: 300\ninitial_mode:"), "control_rate", "physics_step, 0.001"
     ),
     "another variant": Mutant(("initial_mode:", "variant: real\ninitial_mode:"), "variant", "hardware or simulation"),
     "ports of nothing": Mutant(("initial_mode:", "ports: { imo: /dev/ttyACM0 }\ninitial_mode:"), "ports.imo", "'imu'?"),

@@ -157,10 +157,7 @@ def soles_stand_on_the_ground(stance: Stance) -> Iterator[TableError]:
             height = stance.robot.tables.nominal_base_height
             what = f"got {height}; expected {height - position[2]:.4f}, at which {foot.sole} stands on the ground"
             yield TableError(("nominal_base_height",), what)
-        tilt, turn = (
-            float(np.arccos(min(1.0, rotation[2, 2]))),
-            float(np.arccos(np.clip(rotation[:, 0] @ forward, -1, 1))),
-        )
+        tilt, turn = np.arccos(np.clip([rotation[2, 2], rotation[:, 0] @ forward], -1, 1)).tolist()
         if tilt > SOLE_TILT:
             yield TableError(("nominal_posture",), f"tilts {foot.sole} by {tilt:.3f} rad; expected both soles level")
         elif turn > SOLE_TILT:

@@ -122,9 +122,21 @@ def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
 
     robot_checks.require_sound(robot)
     if profile.variant == "simulation":
-        robot.physics_steps()
+        _check_period(robot, profile, file)
     elif not robot.tables.devices:
         raise robot.error(["devices"], "none; expected those of the robot, for a profile on hardware")
+
+
+def _check_period(robot: RobotDescription, profile: Profile, file: Path) -> None:
+    """A control period is a whole number of physics steps; else whoever says the rate is told."""
+    try:
+        robot.physics_steps()
+    except ConfigurationError:
+        if profile.control_rate is None:
+            raise
+        step = robot.tables.physics_step
+        what = f"got {profile.control_rate:g}; expected a period that is a whole number of physics_step, {step:g} s"
+        raise Document.load(file).error(["control_rate"], what) from None
 
 
 def _bag(file: Path | None) -> Path | None:
