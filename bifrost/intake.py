@@ -27,6 +27,7 @@ _WARNINGS = 20  # a subscriber's, at most; the rest is counted
 _PUBLISHERS = 1000  # whose last sequence is remembered
 _FUTURE = 1_000_000  # a stamp this far ahead of the clock it was taken from is none [ns]
 _QUICKEST = 100  # nobody publishes oftener than this [ns]; a gap that would take more is none
+_GOES_ON = 100_000_000  # a message so long after one too many is of the same flood [ns]
 _BURST = 1000  # ... but for so many messages, for clocks that stand still between two readings
 
 
@@ -85,7 +86,7 @@ class Intake:
         self._limit = limit
         self._muted = Muted()
         self._trace = False  # somebody is to be muted: where do its messages come from?
-        self._flooding = _NOBODY
+        self._flooding, self._flooded_at = _NOBODY, 0
         self.messages = self.drops = self.rejected = self.bytes_received = 0
         self._node = node
         self._topic = topic
@@ -208,7 +209,7 @@ class Intake:
         if last and self._keep_all:
             self.drops += sequence - last - 1
         if stream.meter is not None and stream.meter.exceeds(sequence - last if last else 1, stamp):
-            self._trace, self._flooding = True, stream  # it is muted with its next message
+            self._trace, self._flooding, self._flooded_at = True, stream, now  # it is muted with its next message
         stream.sequence, stream.stamp = sequence, stamp
         self.messages += 1
         self.bytes_received += len(frame)
@@ -221,8 +222,8 @@ class Intake:
         checked = self._take(content)
         if content.startswith(self._flooding.prefix):
             self._trace = False
-            endpoint = endpoint_of(frame, self._connected)
-            if endpoint:
+            goes_on = monotonic_ns() - self._flooded_at < _GOES_ON
+            if goes_on and (endpoint := endpoint_of(frame, self._connected)):
                 self._mute(endpoint)
         return checked
 
