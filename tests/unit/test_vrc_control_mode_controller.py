@@ -125,6 +125,16 @@ def test_a_transition_that_the_table_lacks_is_invalid_and_sends_nothing(plant):
     assert not plant.asked and "from there" in plant.controller.last_refusal
 
 
+def test_a_flood_of_refusals_is_counted_and_told_once(plant, caplog):
+    for mode in ["dance"] * 50 + ["walk"]:
+        plant.ask(mode, cycles=1)
+    assert plant.controller.rejected == 51
+    assert [record.getMessage().split()[2] for record in caplog.records if "refused" in record.getMessage()] == [
+        "dance",
+        "walk",
+    ]
+
+
 def test_a_refusal_leaves_the_actual_mode_and_carries_the_reason(plant):
     plant.ask("stand")
     plant.against = "walking is not available"

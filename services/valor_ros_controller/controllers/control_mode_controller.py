@@ -320,8 +320,9 @@ class ControlModeController:
 
     def _note_refusal(self, requested: str, reason: str) -> None:
         self.rejected += 1
+        if self.last_refusal != f"{requested}: {reason}":  # told once in the log, however often it is asked for
+            _log.warning("control mode %s refused: %s", requested, reason)
         self.last_refusal = f"{requested}: {reason}"
-        _log.warning("control mode %s refused: %s", requested, reason)
 
     def _set(self, report: ModeReport) -> None:
         self.report = report

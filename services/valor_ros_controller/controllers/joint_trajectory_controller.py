@@ -140,8 +140,9 @@ class JointTrajectoryController:
     def refuse(self, goal: Goal | None, error: InvalidTrajectoryError) -> None:
         """Say why a trajectory is not run. Nothing moves, and what runs goes on."""
         self.rejected += 1
+        if self.last_refusal != f"{self._name}: {error}":  # told once in the log, however often it is sent
+            _log.warning("%s: trajectory refused: %s", self._name, error)
         self.last_refusal = f"{self._name}: {error}"
-        _log.warning("%s: trajectory refused: %s", self._name, error)
         if goal:
             goal.finish(Outcome(error.code, str(error)))
 
