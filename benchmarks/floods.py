@@ -23,6 +23,7 @@ import numpy as np
 from live_system import SETTLING, started
 
 import bifrost
+from valor.common import membership
 from valor.common.instance import Instance
 from valor.common.messages import (
     BehaviorReply,
@@ -101,6 +102,9 @@ FLOODS: dict[str, Callable[[bifrost.Node, float], int]] = {
     "ROS set-points": ros_set_points,
 }
 
+OWNERS = {"set-points": JOINT_SETPOINTS.publisher, "latest values": DEVICES.publisher}
+"""Whose key a flood is sent with: nobody else is heard."""
+
 
 def listen(node: bifrost.Node, seconds: float) -> list[bifrost.Received[Motor]]:
     """All Motors of a while."""
@@ -145,7 +149,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.flood:
         instance = Instance.from_environment()
-        with bifrost.Node("flooder", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+        owner = OWNERS.get(options.flood, "")
+        with bifrost.Node("flooder", network=membership.network(instance, owner)) as node:
             print("begins", flush=True)
             print(FLOODS[options.flood](node, options.seconds), flush=True)
         os._exit(0)  # ROS' threads need no leave

@@ -11,6 +11,7 @@ from bifrost.errors import (
     SchemaError,
     TimeoutError,
 )
+from bifrost.grants import Charter, Grants
 from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
 from bifrost.health import counts, daemon_alive
 from bifrost.limits import Limit
@@ -25,6 +26,7 @@ from bifrost.subscriber import Received, Subscriber
 from bifrost.waiting import Poller, wait
 
 __all__ = [
+    "Charter",
     "Client",
     "Computer",
     "ConfigurationError",
@@ -33,6 +35,7 @@ __all__ = [
     "End",
     "Error",
     "Float64Array",
+    "Grants",
     "Graph",
     "Limit",
     "Message",

@@ -202,7 +202,7 @@ class Client(Generic[M, R]):
         if not peers:
             return
         self._check(peers[-1])
-        self._connect(peers[-1].entry.endpoint).send(self._frame(asked.payload, asked.deadline), zmq.NOBLOCK)
+        self._connect(peers[-1].entry).send(self._frame(asked.payload, asked.deadline), zmq.NOBLOCK)
         asked.server = peers[-1]
 
     def _too_late(self, asked: _Asked) -> Error:
@@ -222,14 +222,15 @@ class Client(Generic[M, R]):
                 f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
             )
 
-    def _connect(self, endpoint: str) -> zmq.Socket[bytes]:
+    def _connect(self, entry: Entry) -> zmq.Socket[bytes]:
+        endpoint = entry.endpoint
         if self._socket is not None and endpoint == self._endpoint:
             return self._socket
         self._disconnect()
         socket = self._node.connecting_socket(zmq.DEALER)
         socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a server that is not there
         try:
-            socket.connect(endpoint)
+            self._node.connect(socket, entry)
         except zmq.ZMQError as error:  # a member has registered what is no address
             socket.close()
             raise NoServerError(f"{self.topic}: cannot connect to {endpoint!r}: {error.strerror}") from None

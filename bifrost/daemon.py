@@ -23,11 +23,13 @@ from zmq.utils.monitor import recv_monitor_message
 
 from bifrost import directory as d
 from bifrost.errors import ConfigurationError
+from bifrost.grants import DAEMON, MEMBER
 from bifrost.link import Link
 from bifrost.network import Network
 from bifrost.security import Gate, listening_socket, new_context
 
 _log = logging.getLogger("bifrostd")
+_WARNINGS = 100  # of what members may not say, at most
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG
 EXIT_PORT_TAKEN = 75  # EX_TEMPFAIL: whoever has it may give it back, so that another start is worth while
 
@@ -42,7 +44,17 @@ class _Member:
     descriptor: int  # of its connection
     record: d.NodeRecord
     heard: float
+    owner: str  # that its connection has proven it to be; or a member
     counts: list[d.Count] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Peer:
+    """Whom a message came from."""
+
+    routing_id: bytes
+    descriptor: int  # of its connection
+    owner: str  # that it has proven to be; or a member
 
 
 @dataclass
@@ -59,6 +71,9 @@ class Daemon:
 
     def __init__(self, network: Network) -> None:
         self._context = new_context()
+        self._grants = network.grants
+        if network.owner != (DAEMON if self._grants.owners else MEMBER):
+            raise ConfigurationError(f"the key of {DAEMON} is not given: expected BIFROST_OWNERS, the folder it is in")
         self._links: list[Link] = []
         self._gate = Gate(self._context, network)
         self._socket = listening_socket(self._context, zmq.ROUTER, network)
@@ -79,6 +94,8 @@ class Daemon:
         self._version = 0
         self._own_version = 0
         self._refused = 0
+        self._refusal = ""
+        self._warned: set[str] = set()
         self._process = psutil.Process()
         self._process.cpu_percent()
         self._started = time.monotonic()
@@ -124,14 +141,17 @@ class Daemon:
             except (msgspec.DecodeError, RecursionError):
                 self._refused += 1  # from a member, but of another version: unheard, it is dropped
                 continue
-            self._handle(frames[0].bytes, int(frames[1].get(zmq.SRCFD)), message)
+            self._handle(_Peer(frames[0].bytes, int(frames[1].get(zmq.SRCFD)), str(frames[1].get("User-Id"))), message)
 
-    def _handle(self, sender: bytes, descriptor: int, message: d.ToDaemon) -> None:
+    def _handle(self, peer: _Peer, message: d.ToDaemon) -> None:
         now = time.monotonic()
+        sender, descriptor = peer.routing_id, peer.descriptor
         if isinstance(message, d.Heartbeat):
             member = self._members.get(message.incarnation)
             if member is None:
                 self._send(sender, d.Unknown(self._epoch))
+                return
+            if not self._may_speak_for(member, peer):
                 return
             member.heard = now
             member.routing_id, member.descriptor = sender, descriptor
@@ -143,16 +163,26 @@ class Daemon:
                 self._send(sender, self._table())
         elif isinstance(message, d.Register):
             known = self._members.get(message.node.incarnation)
-            self._members[message.node.incarnation] = _Member(sender, descriptor, message.node, now)
-            if known is None or known.record != message.node:
-                self._changed(message.node)
+            if known is not None and not self._may_speak_for(known, peer):
+                return
+            node, refusals = self._grants.sift(message.node, peer.owner)
+            for refusal in refusals:
+                self._refuse(f"{refusal} (pid {node.pid} on {node.computer}, key of {peer.owner})")
+            self._members[node.incarnation] = _Member(sender, descriptor, node, now, peer.owner)
+            if known is None or known.record != node:
+                self._changed(node)
             if known is None:
                 self._send(sender, self._table())
             else:
-                self._members[message.node.incarnation].counts = known.counts
+                self._members[node.incarnation].counts = known.counts
         elif isinstance(message, d.Leave):
-            self._drop(message.incarnation, "left")
+            member = self._members.get(message.incarnation)
+            if member is not None and self._may_speak_for(member, peer):
+                self._drop(message.incarnation, "left")
         elif isinstance(message, d.Follow):
+            if peer.owner != (DAEMON if self._grants.owners else MEMBER):
+                self._refuse(f"{peer.owner} wants to follow as the daemon of {message.computer}: refused")
+                return
             self._followers[message.computer] = _Follower(sender, now)
             if (message.epoch, message.version) == (self._epoch, self._own_version):
                 self._send(sender, d.Alive(self._epoch, self._own_version))
@@ -162,6 +192,21 @@ class Daemon:
             self._send(sender, self._counts(message.topic))
         else:
             self._send(sender, self._info())
+
+    def _may_speak_for(self, member: _Member, peer: _Peer) -> bool:
+        """Only who has registered a node changes it, or takes its leave."""
+        if peer.owner == member.owner:
+            return True
+        self._refuse(f"{peer.owner} wants to speak for {member.record.name}, which is {member.owner}'s: refused")
+        return False
+
+    def _refuse(self, text: str) -> None:
+        """Count what a member may not say; the log tells it once."""
+        self._refused += 1
+        self._refusal = text
+        if text not in self._warned and len(self._warned) < _WARNINGS:
+            self._warned.add(text)
+            _log.warning("%s", text)
 
     def _changed(self, node: d.NodeRecord) -> None:
         """One of our own nodes is new or another: everybody is told."""
@@ -214,6 +259,7 @@ class Daemon:
             nodes=len(self._members),
             computers=[link.computer.name for link in self._links if link.reachable],
             refused=self._refused,
+            refusal=self._refusal,
         )
 
     def _counts(self, topic: str) -> d.Counts:
@@ -274,7 +320,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     try:
-        network = Network.from_environment()
+        network = Network.from_environment(DAEMON)
         daemon = Daemon(network)
     except ConfigurationError as error:
         _log.error("%s", error)

@@ -31,6 +31,7 @@ class Entry(msgspec.Struct, frozen=True):
         hashes: of their schemas, hexadecimal.
         endpoint: where it listens; empty for those that connect.
         latched: of a publisher: whoever comes late gets its last message.
+        key: public, Z85, that it listens with; empty: that of the network.
     """
 
     kind: Kind
@@ -39,6 +40,7 @@ class Entry(msgspec.Struct, frozen=True):
     hashes: tuple[str, ...]
     endpoint: str = ""
     latched: bool = False
+    key: str = ""
 
 
 class NodeRecord(msgspec.Struct, frozen=True):
@@ -176,7 +178,8 @@ class DaemonInfo(msgspec.Struct, tag="info"):
     uptime: float  # [s]
     nodes: int  # of its own computer
     computers: list[str] = []  # the others that it reaches
-    refused: int = 0  # what members have sent that is no message
+    refused: int = 0  # what members have sent that is no message, or not theirs to say
+    refusal: str = ""  # the newest of what was not theirs
 
 
 class Counts(msgspec.Struct, tag="counts"):

@@ -6,6 +6,7 @@ those that connect hold a ``Watch``: the peers of a topic, renewed by the thread
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import threading
@@ -20,10 +21,12 @@ from bifrost import directory as d
 from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
 from bifrost.schema import Schema
-from bifrost.security import Gate, connecting_socket
+from bifrost.security import Gate, connect, connecting_socket
 
 # Between two registrations, each of which tells all nodes of everything that this one has; for each of its entries [s].
 _REST = 1e-4
+_WARNINGS = 20  # of what others may not have, at most
+_log = logging.getLogger("bifrost")
 WAKE_ENDPOINT = "inproc://bifrost.wake"
 Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
 
@@ -50,6 +53,8 @@ class Discovery:
         self._next_registration = 0.0
         self._closing = False
         self._neighbors = Neighbors()
+        self._grants = network.grants
+        self._refused: set[str] = set()  # that the log has told of
         self._heard = 0.0  # when the daemon last said anything
         self._context = context
         self._gate = Gate(context, network)
@@ -59,7 +64,7 @@ class Discovery:
         self._wake.bind(WAKE_ENDPOINT)
         self._poke = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._daemon = connecting_socket(context, zmq.DEALER, network)
-        self._daemon.connect(network.computer.daemon)
+        connect(self._daemon, network.computer.daemon, network.daemon_key)
         self._thread = threading.Thread(target=self._run, name=f"bifrost-{name}", daemon=True)
         self._thread.start()
 
@@ -296,7 +301,7 @@ class Discovery:
             self._dirty = True
             self._counts_told = []
         elif isinstance(message, d.Table):
-            others = (record for record in message.nodes if record.incarnation != self.incarnation)
+            others = (self._sifted(record) for record in message.nodes if record.incarnation != self.incarnation)
             neighbors.replace(others, message.epoch, message.version)
         elif isinstance(message, d.Update | d.Gone) and message.epoch == neighbors.epoch:
             if message.version == neighbors.version + 1:
@@ -306,8 +311,17 @@ class Discovery:
                 neighbors.depart(message.incarnation, message.reason)
                 self._dirty |= message.incarnation == self.incarnation  # we are not
             elif message.node.incarnation != self.incarnation:
-                neighbors.put(message.node)
+                neighbors.put(self._sifted(message.node))
         self._refresh()
+
+    def _sifted(self, record: d.NodeRecord) -> d.NodeRecord:
+        """A record without what is not its node's. The daemon has seen to it, but is not what is trusted."""
+        record, refusals = self._grants.sift(record)
+        for refusal in refusals:
+            if refusal not in self._refused and len(self._refused) < _WARNINGS:
+                self._refused.add(refusal)
+                _log.warning("%s", refusal)
+        return record
 
     def _forget_departed(self) -> None:
         if self._neighbors.any_departed:

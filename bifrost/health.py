@@ -11,7 +11,7 @@ import zmq
 
 from bifrost import directory as d
 from bifrost.network import Computer, Network
-from bifrost.security import connecting_socket
+from bifrost.security import connect, connecting_socket
 
 A = TypeVar("A", bound=d.FromDaemon)
 
@@ -41,7 +41,7 @@ def _ask(
     answers: list[A] = []
     try:
         for socket, computer in zip(sockets, computers, strict=True):
-            socket.connect(computer.daemon)
+            connect(socket, computer.daemon, network.daemon_key)
             socket.send(d.encode(question))
         deadline = time.monotonic() + timeout
         for socket in sockets:

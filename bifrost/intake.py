@@ -299,24 +299,25 @@ class Intake:
 
     def _connect(self) -> None:
         """Connect to the topic's publishers as they are now, and disconnect from those that are gone."""
-        wanted = set()
+        wanted: dict[str, Entry] = {}
         one_clock = True
         for peer in self._watch.peers:
             endpoint = peer.entry.endpoint
             if self._suits(peer.entry):
-                wanted.add(endpoint)
+                wanted[endpoint] = peer.entry
                 one_clock &= peer.computer == self._node.network.computer.name
             else:
                 self._warn(endpoint, str(self._mismatch(peer.node, peer.entry.types, peer.entry.hashes)))
-        wanted -= self._muted.endpoints()
-        for endpoint in wanted - self._connected:
+        for endpoint in self._muted.endpoints():
+            wanted.pop(endpoint, None)
+        for endpoint in wanted.keys() - self._connected:
             try:
-                self.socket.connect(endpoint)
+                self._node.connect(self.socket, wanted[endpoint])
             except zmq.ZMQError as error:  # a member has registered what is no address: not our end
                 _log.warning("%s: cannot connect to %r: %s", self._topic, endpoint, error.strerror)
-        for endpoint in self._connected - wanted:
+        for endpoint in self._connected - wanted.keys():
             with contextlib.suppress(zmq.ZMQError):
                 self.socket.disconnect(endpoint)
-        self._connected = wanted
+        self._connected = set(wanted)
         self._one_clock = one_clock
         self.several = len(wanted) > 1

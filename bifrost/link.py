@@ -11,7 +11,7 @@ import zmq
 
 from bifrost import directory as d
 from bifrost.network import Computer, Network
-from bifrost.security import connecting_socket
+from bifrost.security import connect, connecting_socket
 
 _log = logging.getLogger("bifrostd")
 Change = d.NodeRecord | tuple[int, d.Reason]  # a node is new or another; a node is gone, and why
@@ -40,7 +40,7 @@ class Link:
         self._next_follow = 0.0
         self.socket = connecting_socket(context, zmq.DEALER, network)
         self.socket.setsockopt(zmq.SNDHWM, 1)  # one word waits for the other to come, not hundreds
-        self.socket.connect(computer.daemon)
+        connect(self.socket, computer.daemon, network.daemon_key)
 
     def check(self) -> list[Change]:
         """Follow on, in time; returns what follows from the other's silence."""

@@ -2,6 +2,7 @@
 
 The network file is JSON; the keys folder holds one CURVE key pair for everything that listens (``server.key``) and
 one for everything that connects (``client.key``). Whoever can read the folder is a member; nobody else gets a byte.
+Owners of topics (``bifrost.grants``) have a key pair each, with which they listen and connect instead.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 import zmq
 
 from bifrost.errors import ConfigurationError
+from bifrost.grants import DAEMON, NONE, Charter, Grants
 
 _VERSION = 1
 _KEY_LENGTH = 40  # Z85 text of a CURVE key
@@ -47,6 +49,11 @@ class KeyPair:
     public: bytes
     secret: bytes = field(repr=False)
 
+    @classmethod
+    def new(cls) -> KeyPair:
+        """A fresh one."""
+        return cls(*zmq.curve_keypair())
+
 
 @dataclass(frozen=True)
 class Network:
@@ -55,14 +62,43 @@ class Network:
     Attributes:
         computers: all of the network.
         computer: the one that this process runs on.
-        server: the keys of whatever listens.
-        client: the keys of whatever connects.
+        server: the keys of whatever listens, owners excepted.
+        client: the keys of whatever connects, owners excepted.
+        grants: what is whose alone.
+        own: the keys of this process, if it is an owner.
     """
 
     computers: tuple[Computer, ...]
     computer: Computer
     server: KeyPair
     client: KeyPair
+    grants: Grants = NONE
+    own: KeyPair | None = None
+
+    @property
+    def listening(self) -> KeyPair:
+        """What this process listens with."""
+        return self.own or self.server
+
+    @property
+    def connecting(self) -> KeyPair:
+        """What this process connects with."""
+        return self.own or self.client
+
+    @property
+    def own_key(self) -> str:
+        """The public key by which this process is known; empty: it has none of its own."""
+        return self.own.public.decode() if self.own else ""
+
+    @property
+    def daemon_key(self) -> bytes:
+        """The public key of every daemon."""
+        return self.grants.owners.get(DAEMON, self.server.public.decode()).encode()
+
+    @property
+    def owner(self) -> str:
+        """The owner that this process is, or ``member``."""
+        return self.grants.owner_of(self.own_key)
 
     @property
     def others(self) -> tuple[Computer, ...]:
@@ -70,7 +106,13 @@ class Network:
         return tuple(computer for computer in self.computers if computer != self.computer)
 
     @classmethod
-    def load(cls, network_file: Path | str, keys_folder: Path | str, computer: str | None = None) -> Network:
+    def load(
+        cls,
+        network_file: Path | str,
+        keys_folder: Path | str,
+        computer: str | None = None,
+        own_key: Path | str | None = None,
+    ) -> Network:
         """Read a network file and its keys.
 
         Args:
@@ -78,11 +120,12 @@ class Network:
             keys_folder: holds ``server.key`` and ``client.key``.
             computer: the name of the computer that this process runs on; else ``BIFROST_COMPUTER``; may be left out
                 when there is only one.
+            own_key: the key pair of the owner that this process is; of a network without owners it is not looked at.
 
         Raises:
             ConfigurationError: a file is missing, unreadable to us, readable to others, or not what is expected.
         """
-        computers = _read_computers(Path(network_file))
+        computers, grants = _read_network(Path(network_file))
         name = computer or os.environ.get("BIFROST_COMPUTER")
         if name is None and len(computers) > 1:
             raise ConfigurationError(
@@ -96,7 +139,10 @@ class Network:
         keys = Path(keys_folder)
         if not keys.is_dir():
             raise ConfigurationError(f"{keys}: no such folder of Bifrost keys")
-        return cls(computers, ours, _read_keys(keys / "server.key"), _read_keys(keys / "client.key"))
+        own = _read_keys(Path(own_key)) if own_key is not None and grants.owners else None
+        if own is not None and own.public.decode() not in grants.owners.values():
+            raise ConfigurationError(f"{own_key}: no key of an owner that {network_file} names")
+        return cls(computers, ours, _read_keys(keys / "server.key"), _read_keys(keys / "client.key"), grants, own)
 
     @classmethod
     def create(
@@ -105,6 +151,7 @@ class Network:
         keys_folder: Path | str,
         host: str = "127.0.0.1",
         ports: Sequence[int] = _DAEMON_PORTS,
+        charter: Charter | None = None,
     ) -> Network:
         """Write the network file of one computer, and fresh keys.
 
@@ -113,41 +160,53 @@ class Network:
             keys_folder: made with mode 0700; keys in it are overwritten, mode 0600.
             host: the address of this computer's interface that everything listens on.
             ports: of which the daemon gets one that is free.
+            charter: what is granted to whom; None: everybody may publish and serve everything.
 
         Raises:
             ConfigurationError: the files cannot be written, or no port is free.
         """
-        return cls.create_for([Computer("localhost", host, _free_port(host, ports))], network_file, keys_folder)
+        computer = Computer("localhost", host, _free_port(host, ports))
+        return cls.create_for([computer], network_file, keys_folder, charter)
 
     @classmethod
-    def create_for(cls, computers: Sequence[Computer], network_file: Path | str, keys_folder: Path | str) -> Network:
+    def create_for(
+        cls,
+        computers: Sequence[Computer],
+        network_file: Path | str,
+        keys_folder: Path | str,
+        charter: Charter | None = None,
+    ) -> Network:
         """Write the network file of several computers, and fresh keys; both belong on every one of them.
 
         Args:
             computers: all of the network; the returned one is the first's.
             network_file: as for ``create``.
             keys_folder: as for ``create``.
+            charter: as for ``create``. An owner's key belongs where its process runs; the daemon's on all computers.
 
         Raises:
             ConfigurationError: the files cannot be written.
         """
         network_file, keys_folder = Path(network_file), Path(keys_folder)
-        content = {"version": _VERSION, "computers": [asdict(computer) for computer in computers]}
-        pairs = [KeyPair(*zmq.curve_keypair()) for _ in range(2)]
+        server, client = KeyPair.new(), KeyPair.new()
         try:
             network_file.parent.mkdir(parents=True, exist_ok=True)
-            keys_folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            keys_folder.chmod(0o700)
-            for name, pair in zip(("server.key", "client.key"), pairs, strict=True):
-                _write_private(keys_folder / name, pair.public + b"\n" + pair.secret + b"\n")
+            _write_keys(keys_folder / "server.key", server)
+            _write_keys(keys_folder / "client.key", client)
+            grants = _issue(charter) if charter else NONE
+            content = {"version": _VERSION, "computers": [asdict(computer) for computer in computers]} | grants.plain()
             _write_private(network_file, json.dumps(content, indent=2).encode() + b"\n")
         except OSError as error:
             raise ConfigurationError(f"{error.filename or keys_folder}: {error.strerror}") from None
-        return cls(tuple(computers), computers[0], *pairs)
+        return cls(tuple(computers), computers[0], server, client, grants)
 
     @classmethod
-    def from_environment(cls) -> Network:
+    def from_environment(cls, owner: str = "") -> Network:
         """The network that ``BIFROST_NETWORK`` (the file) and ``BIFROST_KEYS`` (the folder) name.
+
+        Args:
+            owner: that this process is, if the network has owners; its key is found under ``BIFROST_OWNERS`` (the
+                charter's folder).
 
         Raises:
             ConfigurationError: a variable is not set, or as ``load``.
@@ -158,7 +217,33 @@ class Network:
             if not value:
                 raise ConfigurationError(f"{variable} is not set: expected the path of {what}")
             values.append(value)
-        return cls.load(*values)
+        network_file, keys_folder = values
+        folder = os.environ.get("BIFROST_OWNERS")
+        own_key = own_key_file(Path(folder), owner) if owner and folder else None
+        return cls.load(network_file, keys_folder, own_key=own_key)
+
+
+def own_key_file(folder: Path, owner: str) -> Path:
+    """Where a charter's folder has an owner's key pair."""
+    return folder / owner / "own.key"
+
+
+def _issue(charter: Charter) -> Grants:
+    """Make a key pair for every owner."""
+    public = {}
+    for owner in charter.owners:
+        pair = KeyPair.new()
+        _write_keys(own_key_file(charter.folder, owner), pair)
+        public[owner] = pair.public.decode()
+    tables = ({name: tuple(owners) for name, owners in t.items()} for t in (charter.publishers, charter.servers))
+    return Grants(public, *tables)
+
+
+def _write_keys(file: Path, pair: KeyPair) -> None:
+    """Write a key pair, mode 0600, into a folder of mode 0700."""
+    file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    file.parent.chmod(0o700)
+    _write_private(file, pair.public + b"\n" + pair.secret + b"\n")
 
 
 def _free_port(host: str, ports: Sequence[int]) -> int:
@@ -183,7 +268,7 @@ def _write_private(path: Path, content: bytes) -> None:
     temporary.replace(path)
 
 
-def _read_computers(path: Path) -> tuple[Computer, ...]:
+def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants]:
     try:
         content = json.loads(path.read_text())
     except FileNotFoundError:
@@ -200,7 +285,7 @@ def _read_computers(path: Path) -> tuple[Computer, ...]:
     computers = tuple(_read_computer(path, index, entry) for index, entry in enumerate(entries))
     if len({computer.name for computer in computers}) != len(computers):
         raise ConfigurationError(f"{path}: computers: expected names that differ")
-    return computers
+    return computers, Grants.read(content, path)
 
 
 def _read_computer(path: Path, index: int, entry: object) -> Computer:

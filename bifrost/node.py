@@ -11,6 +11,7 @@ import zmq
 
 from bifrost import security, wire
 from bifrost.client import Client
+from bifrost.directory import Entry
 from bifrost.discovery import WAKE_ENDPOINT, Discovery
 from bifrost.encoding import codec
 from bifrost.errors import Error, TimeoutError
@@ -78,8 +79,10 @@ class Node:
         Raises:
             ValueError: no name for a topic.
             TypeError: a field of the type is none that a message can have.
+            Error: the topic is granted to somebody else.
         """
         self._check(topic)
+        self._check_grant("publisher", topic)
         host = self.network.computer.host
         if latched:
             codec(message_type)  # a type that no message can have is refused before anything is opened
@@ -135,8 +138,12 @@ class Node:
         """Serve a topic: ``handler(request, origin)`` returns the reply, called from ``Server.serve``.
 
         Of each client more than ``limit`` is not answered, see ``Server.muted``.
+
+        Raises:
+            Error: the topic is granted to somebody else.
         """
         self._check(topic)
+        self._check_grant("server", topic)
         return self._keep(Server(self, topic, request, reply, handler, limit=limit))
 
     def client(self, topic: str, request: type[M], reply: type[R]) -> Client[M, R]:
@@ -181,6 +188,10 @@ class Node:
         """A socket to connect."""
         return security.connecting_socket(self._context, kind, self.network)
 
+    def connect(self, socket: zmq.Socket[bytes], entry: Entry) -> None:
+        """Connect a socket to an entry of a node."""
+        security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
+
     def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
         """Let the discovery thread wake a subscriber: it publishes the bare topic when its publishers change."""
         socket.connect(WAKE_ENDPOINT)
@@ -200,6 +211,10 @@ class Node:
         if self._closed:
             raise Error(f"node {self.name} is closed")
         _check_name("topic", topic)
+
+    def _check_grant(self, kind: str, topic: str) -> None:
+        if refusal := self.network.grants.refusal(self.name, kind, topic, self.network.owner):
+            raise Error(refusal)
 
     def _keep(self, child: C) -> C:
         with self._lock:

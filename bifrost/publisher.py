@@ -121,7 +121,8 @@ class Publisher(Generic[M]):
         self._pack_into = wire.PUBLICATION_VARIABLE.pack_into
         self._closed = False
         latched = isinstance(outlet, Latch)
-        entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint, latched)
+        key = node.network.own_key
+        entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint, latched, key)
         self._key = node.discovery.announce(entry, [self._codec.schema], lambda: (self._sequence, 0, 0))
 
     def publish(self, message: M) -> int:

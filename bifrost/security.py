@@ -1,4 +1,4 @@
-"""What every socket is given: CURVE, the gate that admits one client key, time limits, sizes.
+"""What every socket is given: CURVE, the gate that admits the network's keys, time limits, sizes.
 
 Nothing is ever bound without CURVE: it keeps strangers out, and libzmq 4.3.5 aborts the process on certain bytes sent
 to a socket without it.
@@ -13,6 +13,7 @@ import zmq
 from zmq.utils import z85
 
 from bifrost.errors import Error
+from bifrost.grants import MEMBER
 from bifrost.network import Network
 from bifrost.wire import MAX_MESSAGE_SIZE
 
@@ -59,40 +60,54 @@ def _open(context: zmq.Context[zmq.Socket[bytes]], kind: int) -> zmq.Socket[byte
 
 
 def listening_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network: Network) -> zmq.Socket[bytes]:
-    """A socket to bind: admits holders of the network's client key alone.
+    """A socket to bind: admits holders of the network's client key, and owners, alone.
 
     Raises:
         Error: there are too many already.
     """
     socket = _open(context, kind)
     socket.setsockopt(zmq.CURVE_SERVER, 1)
-    socket.setsockopt(zmq.CURVE_SECRETKEY, network.server.secret)
+    socket.setsockopt(zmq.CURVE_SECRETKEY, network.listening.secret)
     socket.setsockopt(zmq.ZAP_DOMAIN, _ZAP_DOMAIN)
     socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # no gate, no admittance
     return socket
 
 
 def connecting_socket(context: zmq.Context[zmq.Socket[bytes]], kind: int, network: Network) -> zmq.Socket[bytes]:
-    """A socket to connect: talks to holders of the network's server key alone.
+    """A socket for ``connect``.
 
     Raises:
         Error: there are too many already.
     """
     socket = _open(context, kind)
     socket.setsockopt(zmq.CURVE_SERVERKEY, network.server.public)
-    socket.setsockopt(zmq.CURVE_PUBLICKEY, network.client.public)
-    socket.setsockopt(zmq.CURVE_SECRETKEY, network.client.secret)
+    socket.setsockopt(zmq.CURVE_PUBLICKEY, network.connecting.public)
+    socket.setsockopt(zmq.CURVE_SECRETKEY, network.connecting.secret)
     return socket
 
 
+def connect(socket: zmq.Socket[bytes], endpoint: str, key: bytes) -> None:
+    """Connect to whoever listens there and has a key; nobody else gets or says a word.
+
+    Args:
+        socket: a ``connecting_socket``.
+        endpoint: of the other.
+        key: its public one. It holds for this connection, and whenever that is made anew.
+    """
+    socket.setsockopt(zmq.CURVE_SERVERKEY, key)
+    socket.connect(endpoint)
+
+
 class Gate:
-    """Answers libzmq's question whether a peer's key is admitted (ZAP, ZeroMQ RFC 27). One a context."""
+    """Answers libzmq's question whether a peer is admitted, and who it is (ZAP, ZeroMQ RFC 27). One a context."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network) -> None:
         self.socket = context.socket(zmq.REP)
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.bind(_ZAP_ENDPOINT)
-        self._admitted = z85.decode(network.client.public)
+        self._admitted = {z85.decode(network.client.public): MEMBER.encode()} | {
+            z85.decode(key.encode()): owner.encode() for owner, key in network.grants.owners.items()
+        }
 
     def answer(self) -> None:
         """Answer all questions that wait."""
@@ -110,10 +125,11 @@ class Gate:
             and request[0] == b"1.0"
             and request[5] == b"CURVE"
             and len(request[6]) == _CURVE_KEY_LENGTH
-            and request[6] == self._admitted
+            and request[6] in self._admitted
         )
         status, text = (b"200", b"OK") if admitted else (b"400", b"not a member of this network")
-        self.socket.send_multipart([b"1.0", request_id, status, text, b"member" if admitted else b"", b""])
+        user = self._admitted[request[6]] if admitted else b""  # told with every message that the peer sends
+        self.socket.send_multipart([b"1.0", request_id, status, text, user, b""])
 
     def close(self) -> None:
         """Close the socket; from now on nobody is admitted."""

@@ -65,6 +65,7 @@ class Server(Generic[M, R]):
         entry = Entry(
             "server", topic, (self._request.name, self._reply.name),
             (self._request.hash.hex(), self._reply.hash.hex()), self.socket.getsockopt_string(zmq.LAST_ENDPOINT),
+            key=node.network.own_key,
         )  # fmt: skip
         schemas = [self._request.schema, self._reply.schema]
         self._key = node.discovery.announce(entry, schemas, lambda: (self._answered, 0, self.rejected))

@@ -10,7 +10,7 @@ import socket as sockets
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +19,7 @@ import psutil
 
 import bifrost
 from bifrost import Computer
+from bifrost.network import own_key_file
 from tests.conftest import PATIENCE
 
 T = TypeVar("T")
@@ -123,13 +124,21 @@ class Peer:
 class BifrostNetwork:
     """The network, its daemons, and everything that a test started in it."""
 
-    def __init__(self, folder: Path, ports: Sequence[int], computers: Sequence[Computer] = ()) -> None:
-        """Of several computers, or of this one, on a port of some."""
-        self.file, self.keys = folder / "network.json", folder / "keys"
+    def __init__(
+        self,
+        folder: Path,
+        ports: Sequence[int],
+        computers: Sequence[Computer] = (),
+        publishers: Mapping[str, Sequence[str]] | None = None,
+        servers: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        """Of several computers, or of this one, on a port of some; topics and services may be granted to owners."""
+        self.file, self.keys, self.owners = folder / "network.json", folder / "keys", folder / "owners"
+        charter = bifrost.Charter(self.owners, publishers or {}, servers or {}) if publishers or servers else None
         if computers:
-            self.network = bifrost.Network.create_for(computers, self.file, self.keys)
+            self.network = bifrost.Network.create_for(computers, self.file, self.keys, charter)
         else:
-            self.network = bifrost.Network.create(self.file, self.keys, ports=ports)
+            self.network = bifrost.Network.create(self.file, self.keys, ports=ports, charter=charter)
         self.log = folder / "bifrostd.log"
         self.daemons: dict[str, subprocess.Popen[bytes]] = {}
         self.within: dict[str, Sequence[str]] = {}  # by computer: the command that runs another one there
@@ -141,13 +150,15 @@ class BifrostNetwork:
         return os.environ | {
             "BIFROST_NETWORK": str(self.file),
             "BIFROST_KEYS": str(self.keys),
+            "BIFROST_OWNERS": str(self.owners),
             "BIFROST_COMPUTER": computer or self.network.computer.name,
             "OPENBLAS_NUM_THREADS": "1",
         }
 
-    def on(self, computer: str | None = None) -> bifrost.Network:
-        """The network as one of the computers sees it."""
-        return bifrost.Network.load(self.file, self.keys, computer or self.network.computer.name)
+    def on(self, computer: str | None = None, owner: str = "") -> bifrost.Network:
+        """The network as one of the computers sees it, and an owner of a topic, or a member."""
+        own_key = own_key_file(self.owners, owner) if owner else None
+        return bifrost.Network.load(self.file, self.keys, computer or self.network.computer.name, own_key)
 
     @property
     def daemon(self) -> subprocess.Popen[bytes]:
@@ -177,9 +188,13 @@ class BifrostNetwork:
         daemon.kill()
         daemon.wait()
 
-    def node(self, name: str, computer: str | None = None) -> bifrost.Node:
+    def node(self, name: str, computer: str | None = None, owner: str = "") -> bifrost.Node:
         """A node in this process, closed with the network."""
-        self._nodes.append(bifrost.Node(name, network=self.on(computer)))
+        return self.node_in(self.on(computer, owner), name)
+
+    def node_in(self, network: bifrost.Network, name: str) -> bifrost.Node:
+        """The same, in the network as the node itself sees it."""
+        self._nodes.append(bifrost.Node(name, network=network))
         return self._nodes[-1]
 
     def peer(self, *arguments: str, computer: str | None = None) -> Peer:

@@ -14,9 +14,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import psutil
 import pytest
@@ -27,10 +28,11 @@ from tests.conftest import REPOSITORY, ROBOTS, wait_until
 from tests.turns import after, known, turns
 from tests.unit.test_ros_domain import homes_that_begin_alike
 from tests.unit.test_valorctl_help import HEAVY, imported
+from valor.common import membership
 from valor.common.instance import Instance
-from valor.common.messages import MotionState
+from valor.common.messages import MotionState, Motor, Proprioceptor, Statistics
 from valor.common.priority import take_turns
-from valor.common.topics import MOTION_STATE
+from valor.common.topics import MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import is_reserved
 from valor.valorctl.status import look
@@ -424,6 +426,60 @@ def one_walks_at_a_time(ctl: Cli) -> None:
     assert "control mode is stand_manipulate" in ctl("mode", "stand_manipulate")
 
 
+def one_writer(ctl: Cli) -> None:
+    """With the keys that all members share, and with those of the recorder, nobody leads the robot or lies to it."""
+    instance = Instance("default", ctl.home)
+    refused_before = refusals(instance)
+    for owner in ("", "bag_recorder"):
+        network = membership.network(instance, owner)
+        with (
+            bifrost.Node("evil", network=network) as honest,
+            pytest.raises(bifrost.Error, match=r"^evil wants to publish motion_manager/motor, which is motion_manag"),
+        ):
+            honest.publisher(MOTOR.name, Motor)
+        blind = replace(network, grants=bifrost.Grants({"bifrostd": network.grants.owners["bifrostd"]}))
+        with bifrost.Node("evil", network=blind) as evil, bifrost.Node("watching", network=network) as watching:
+            forged_motors = evil.publisher(MOTOR.name, Motor)
+            forged_states = evil.publisher(PROPRIOCEPTOR.name, Proprioceptor)
+            motors = watching.subscriber(MOTOR.name, Motor)
+            states = watching.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+            until = time.monotonic() + 1.0
+            while time.monotonic() < until:
+                motor, state = motors.receive(5.0), states.receive(5.0)
+                assert motor and state and {motor.origin, state.origin} == {"motion_manager", "comms_manager"}
+                limp, now = np.zeros_like(motor.message.mode), time.monotonic_ns()
+                answers = state.message.sequence
+                forged_motors.publish(
+                    msgspec.structs.replace(motor.message, mode=limp, writer=now, proprioceptor_sequence=answers)
+                )
+                forged_states.publish(msgspec.structs.replace(state.message, sequence=answers + 10))
+            publishers = {
+                topic: watching.graph().topics[topic].publishers for topic in (MOTOR.name, PROPRIOCEPTOR.name)
+            }
+            assert [[end.node for end in ends] for ends in publishers.values()] == [
+                ["motion_manager"],
+                ["comms_manager"],
+            ]
+        said = (instance.logs / "bifrostd.log").read_text()
+        for refused in (
+            "motion_manager/motor, which is motion_manager",
+            "comms_manager/proprioceptor, which is comms_manager",
+        ):
+            assert re.search(rf"evil wants to publish {refused}'s: refused .*key of {owner or 'member'}", said)
+    assert "evil wants to publish" in ctl("status")
+    assert refusals(instance) == refused_before  # none of theirs came that far
+    assert ctl.status()["behavior"] == "stand_manipulate"
+
+
+def refusals(instance: Instance) -> int:
+    """How many Motors and Proprioceptors their readers have refused."""
+    with bifrost.Node("test", network=membership.network(instance)) as node:
+        words = [node.subscriber(STATISTICS[name].name, Statistics) for name in ("comms_manager", "motion_manager")]
+        received = [word.receive(5.0) for word in words]
+        assert all(received)
+        return sum(word.message.rejected for word in received if word)
+
+
 def without_supervisor(ctl: Cli) -> None:
     """What runs obeys, and is shown."""
     os.kill(ctl.supervisord(), signal.SIGKILL)
@@ -440,21 +496,21 @@ def without_supervisor(ctl: Cli) -> None:
 def whoever_dies_a_stop_tells_the_truth(ctl: Cli) -> None:
     """Nobody restarts anything; the robot lies on the floor."""
 
-    def stopped(status: int = 0) -> str:
-        said = ctl("stop", status=status)
+    def stopped(*options: str, status: int = 0) -> str:
+        said = ctl("stop", *options, status=status)
         assert "motion_manager, over Bifrost: " in said and "valor_ros_controller, over ROS 2: " in said
         return said.splitlines()[0]
 
+    names = ("motion_manager", "comms_manager", "valor_ros_controller")
+    motion_manager, comms_manager, controller = (ctl.pid(name) for name in names)
     assert stopped().endswith(": fall")
-    os.kill(ctl.pid("valor_ros_controller"), signal.SIGKILL)
-    assert stopped().endswith(": fall")
-    motion_manager, comms_manager = ctl.pid("motion_manager"), ctl.pid("comms_manager")
     os.kill(motion_manager, signal.SIGSTOP)
-    assert "motion_manager is silent" in stopped(1)  # it would go on where it was
+    assert "motion_manager is silent" in stopped("--freeze", status=1)  # it would go on where it was
+    os.kill(controller, signal.SIGKILL)
     os.kill(motion_manager, signal.SIGKILL)
-    assert stopped().endswith("held by comms_manager: there is no motion_manager")
+    assert stopped("--freeze").endswith("held by comms_manager: there is no motion_manager")
     os.kill(comms_manager, signal.SIGKILL)
-    assert "comms_manager is silent" in stopped(1)
+    assert "comms_manager is silent" in stopped(status=1)
 
 
 def fallen(ctl: Cli) -> None:
@@ -530,6 +586,7 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     joined = f'{ctl("env")}\nexec "{sys.executable}" -c "{program}"'
     subprocess.run(["/bin/sh", "-c", joined], check=True, timeout=TIMEOUT)
 
+    one_writer(ctl)
     without_supervisor(ctl)
     fallen(ctl)
     held = shared_memory(ctl.processes())

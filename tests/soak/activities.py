@@ -12,9 +12,10 @@ import numpy as np
 
 import bifrost
 from tests.soak.rig import BrokenError, Rig
+from valor.common import membership
 from valor.common.errors import ValorError
 from valor.common.messages import MotionState, PushReply, PushRequest, VelocityCommand
-from valor.common.topics import PUSH, VELOCITY
+from valor.common.topics import PUSH, VALORCTL, VELOCITY
 from valor.motion_manager.behaviors import Behavior
 from valor.valorctl import arm_motion, stepping
 
@@ -97,7 +98,7 @@ def _walking(rig: Rig, rng: random.Random) -> Going:
     turn = rng.uniform(-0.2, 0.2)
 
     def walk(check: Callable[[], None]) -> None:
-        network = bifrost.Network.load(rig.instance.network_file, rig.instance.keys)
+        network = membership.network(rig.instance, VALORCTL)
         with bifrost.Node("valorctl", network=network) as node:
             velocity = node.publisher(VELOCITY.name, VelocityCommand)
             while True:
@@ -145,7 +146,7 @@ def _arm_on_its_way(rig: Rig, rng: random.Random) -> Going:
 
 def _fallen(rig: Rig, _: random.Random) -> Going:
     """Pushed over where it can be pushed, else let go."""
-    network = bifrost.Network.load(rig.instance.network_file, rig.instance.keys)
+    network = membership.network(rig.instance, VALORCTL)
     with bifrost.Node("valorctl", network=network) as node:
         pusher = node.client(PUSH.name, PushRequest, PushReply)
         if pusher.wait_for_server(2.0):

@@ -19,6 +19,7 @@ import bifrost
 from tests.soak.checks import order_kept
 from tests.soak.rig import Rig
 from tests.soak.rules import BY_ITSELF
+from valor.common import membership
 from valor.common.messages import (
     REQUESTED_BY,
     BalanceWeights,
@@ -120,7 +121,7 @@ def _malformed(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     now = state.time
     bad = np.full(len(joints), NAN)
     short = np.zeros(2)
-    network = bifrost.Network.load(rig.instance.network_file, rig.instance.keys)
+    network = membership.network(rig.instance, "valor_ros_controller")
     with bifrost.Node("liar", network=network) as node:
         setpoints = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
         velocity = node.publisher(VELOCITY.name, VelocityCommand)
@@ -165,7 +166,7 @@ def _wrong_ros(rig: Rig, rng: random.Random, _process: str) -> list[str]:
 def _push(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     angle = rng.uniform(0.0, 2.0 * np.pi)
     impulse = PUSH_IMPULSE * np.array([np.cos(angle), np.sin(angle), 0.0])
-    network = bifrost.Network.load(rig.instance.network_file, rig.instance.keys)
+    network = membership.network(rig.instance, "valor_ros_controller")
     with bifrost.Node("valorctl", network=network) as node:
         pusher = node.client(PUSH.name, PushRequest, PushReply)
         if not pusher.wait_for_server(2.0):
@@ -232,7 +233,7 @@ def _modes(rig: Rig, rng: random.Random, _process: str) -> list[str]:
 def _adjustments(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     """Pelvis, gains and weights, some beyond what is allowed."""
     joints = list(rig.robot.joints)
-    network = bifrost.Network.load(rig.instance.network_file, rig.instance.keys)
+    network = membership.network(rig.instance, "valor_ros_controller")
     with bifrost.Node("soak_adjuster", network=network) as node:
         pelvis = node.publisher(PELVIS.name, PelvisSetpoint)
         gains = node.publisher(JOINT_GAINS.name, JointGains)

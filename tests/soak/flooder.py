@@ -8,6 +8,7 @@ import time
 import numpy as np
 
 import bifrost
+from valor.common import membership
 from valor.common.instance import Instance
 from valor.common.messages import JointSetpoints
 from valor.common.robot import RobotDescription
@@ -19,7 +20,7 @@ def over_bifrost(instance: Instance, seconds: float) -> int:
     robot = RobotDescription.load(instance.settings().robot)
     zeros = np.zeros(len(robot.joints))
     message = JointSetpoints(0, list(robot.joints), zeros, zeros, zeros)
-    with bifrost.Node("flooder", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+    with bifrost.Node("flooder", network=membership.network(instance, "valor_ros_controller")) as node:
         publisher = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
         until, sent = time.monotonic() + seconds, 0
         while time.monotonic() < until:

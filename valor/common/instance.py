@@ -97,8 +97,13 @@ class Instance:
 
     @property
     def keys(self) -> Path:
-        """The folder of the Bifrost keys, mode 0700 (``BIFROST_KEYS``)."""
+        """The folder of the Bifrost keys that all members share, mode 0700 (``BIFROST_KEYS``)."""
         return self.folder / "keys"
+
+    @property
+    def owners(self) -> Path:
+        """Of each process the Bifrost key that is its own, in a folder of its own (``BIFROST_OWNERS``)."""
+        return self.folder / "owners"
 
     @property
     def logs(self) -> Path:

@@ -20,6 +20,7 @@ from types import FrameType
 from typing import Protocol, Self
 
 import bifrost
+from valor.common import membership
 from valor.common.errors import ConfigurationError
 from valor.common.floods import Floods, Input
 from valor.common.instance import Instance, Settings
@@ -53,7 +54,7 @@ class Context:
             take_turns(process.turns)
         self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
-        self.node = bifrost.Node(name, network=bifrost.Network.load(instance.network_file, instance.keys))
+        self.node = bifrost.Node(name, network=membership.network(instance, name))
         self.statistics = StatisticsPublisher(self.node, name, self.robot.control_period)
         self.trace = Tracer(self.node, name)
 

@@ -24,6 +24,12 @@ class Topic:
     rate: float | None  # nominal [Hz]; CONTROL_RATE: every control period; None: on change or on demand
     record_every: int  # the recorder keeps every n-th message; 0: none
     description: str
+    others: tuple[str, ...] = ()  # who may publish it, too: in the publisher's place, or as one who commands
+
+    @property
+    def publishers(self) -> tuple[str, ...]:
+        """All who may publish it, and nobody else."""
+        return (self.publisher, *self.others)
 
 
 @dataclass(frozen=True)
@@ -35,11 +41,20 @@ class ServiceTopic:
     reply: type[Message]
     server: str
     description: str
+    others: tuple[str, ...] = ()  # who may serve it, too: in the server's place
+
+    @property
+    def servers(self) -> tuple[str, ...]:
+        """All who may serve it, and nobody else."""
+        return (self.server, *self.others)
 
 
 _COMMS, _MOTION, _VRC = "comms_manager", "motion_manager", "valor_ros_controller"
 _CONVERTER, _RECORDER, _EMULATORS = "footstep_converter", "bag_recorder", "device_emulators"
 _HDT_DRIVER, _HDT_BRIDGE = "hdt_driver", "hdt_bridge"
+
+VALORCTL = "valorctl"
+"""Whoever drives an instance by its command line: no process of it, but with a key of its own."""
 
 # fmt: off
 #                                     name                                 type                publisher   rate          record, description
@@ -51,7 +66,7 @@ BEHAVIOR_CHANGE               = Topic("motion_manager/behavior_change",    m.Mot
 REJECTION                     = Topic("motion_manager/rejection",          m.Rejection,        _MOTION,    None,         1, "commands not obeyed, and why")
 STEP_STATUS                   = Topic("motion_manager/step_status",        m.StepStatus,       _MOTION,    10.0,         1, "progress of a footstep plan")
 JOINT_SETPOINTS               = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,   _VRC,       250.0,        1, "set-points by joint name")
-VELOCITY                      = Topic("motion_manager/velocity",           m.VelocityCommand,  _VRC,       None,         1, "walking velocity; times out")
+VELOCITY                      = Topic("motion_manager/velocity",           m.VelocityCommand,  _VRC,       None,         1, "walking velocity; times out", (VALORCTL,))
 PELVIS                        = Topic("motion_manager/pelvis",             m.PelvisSetpoint,   _VRC,       250.0,        1, "where the pelvis shall be")
 HAND_GOAL                     = Topic("motion_manager/hand_goal",          m.HandGoal,         _VRC,       None,         1, "where a hand shall be")
 HAND_GOAL_STATUS              = Topic("motion_manager/hand_goal_status",   m.HandGoalStatus,   _MOTION,    None,         1, "how a hand fares on its way")
@@ -67,12 +82,12 @@ HDT_RIGHT_ARM_STATE           = Topic("comms_manager/hdt/right_arm/state", m.Hdt
 HDT_LEFT_HAND_STATE           = Topic("comms_manager/hdt/left_hand/state", m.HdtState,        _HDT_BRIDGE,    None,         0, "what the hand's driver says; hardware only")
 HDT_RIGHT_HAND_STATE          = Topic("comms_manager/hdt/right_hand/state", m.HdtState,       _HDT_BRIDGE,    None,         0, "likewise")
 CONTROL_MODE                  = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,      10.0,         1, "the VRC's control mode")
-GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it")
+GROUND_TRUTH                  = Topic("simulation/ground_truth",           m.GroundTruth,      _COMMS,     100.0,        1, "the simulator's truth; no controller may read it", (_EMULATORS,))
 MOTION_MANAGER_STATISTICS     = Topic("motion_manager/statistics",         m.Statistics,       _MOTION,    1.0,          1, "how it fares")
 COMMS_MANAGER_STATISTICS      = Topic("comms_manager/statistics",          m.Statistics,       _COMMS,     1.0,          1, "how it fares")
 VALOR_ROS_CONTROLLER_STATISTICS = Topic("valor_ros_controller/statistics", m.Statistics,       _VRC,       1.0,          1, "how it fares")
 DEVICE_EMULATORS_STATISTICS   = Topic("device_emulators/statistics",       m.Statistics,       _EMULATORS, 1.0,          1, "how they fare; hardware without a robot only")
-HDT_DRIVER_STATISTICS         = Topic("hdt_driver/statistics",             m.Statistics,       _HDT_DRIVER, 1.0,         1, "how it fares: the bridge's word for the driver, from /diagnostics")
+HDT_DRIVER_STATISTICS         = Topic("hdt_driver/statistics",             m.Statistics,       _HDT_DRIVER, 1.0,         1, "how it fares: the bridge's word for the driver, from /diagnostics", (_HDT_BRIDGE,))
 HDT_BRIDGE_STATISTICS         = Topic("hdt_bridge/statistics",             m.Statistics,       _HDT_BRIDGE, 1.0,         1, "how it fares")
 FOOTSTEP_CONVERTER_STATISTICS = Topic("footstep_converter/statistics",     m.Statistics,       _CONVERTER, 1.0,          1, "how it fares")
 BAG_RECORDER_STATISTICS       = Topic("bag_recorder/statistics",           m.Statistics,       _RECORDER,  1.0,          1, "how it fares")
@@ -89,7 +104,7 @@ TOPICS: tuple[Topic, ...] = (
 #                            name                            request                reply                server    description
 BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,      m.BehaviorReply,      _MOTION, "go to a behavior")
 FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest,  m.FootstepPlanReply,  _MOTION, "execute, update or stop a footstep plan")
-PUSH          = ServiceTopic("simulation/push",              m.PushRequest,          m.PushReply,          _COMMS,  "push the chest; simulation only")
+PUSH          = ServiceTopic("simulation/push",              m.PushRequest,          m.PushReply,          _COMMS,  "push the chest; simulation only", (_EMULATORS,))
 FAULT         = ServiceTopic("simulation/fault",             m.FaultRequest,         m.FaultReply,         _EMULATORS, "let an emulated device fail; hardware without a robot only")
 SNAP          = ServiceTopic("bag_recorder/snap",            m.SnapRequest,          m.SnapReply,          _RECORDER, "save the last seconds that the recorder holds")
 # fmt: on

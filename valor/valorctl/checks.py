@@ -136,11 +136,13 @@ def _keys(instance: Instance) -> Finding:
     if not instance.keys.exists():
         return Finding("keys", "ok", "none while the instance is down")
     wrong = []
-    for path, expected in [(instance.keys, 0o700), *((file, 0o600) for file in sorted(instance.keys.iterdir()))]:
-        if (mode := path.stat().st_mode & 0o777) != expected:
-            wrong.append(f"{path} has mode {mode:04o} instead of {expected:04o}")
+    for folder in (instance.keys, instance.owners):
+        for path in (folder, *sorted(folder.rglob("*"))) if folder.exists() else ():
+            expected = 0o700 if path.is_dir() else 0o600
+            if (mode := path.stat().st_mode & 0o777) != expected:
+                wrong.append(f"{path} has mode {mode:04o} instead of {expected:04o}")
     if wrong:
-        return Finding("keys", "fail", "; ".join(wrong), f"chmod 700 {instance.keys}; chmod 600 {instance.keys}/*")
+        return Finding("keys", "fail", "; ".join(wrong), f"chmod -R go= {instance.keys} {instance.owners}")
     return Finding("keys", "ok", "readable by their owner alone")
 
 

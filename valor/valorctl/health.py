@@ -146,4 +146,6 @@ class Listener:
         if word is not None and time.monotonic() - word.heard < 0.5 * SILENCE:
             return
         if info := bifrost.daemon_alive(self._network, timeout=0.2):
-            self.words[DAEMON] = Word(info.pid, "ready", "", info.cpu_percent, info.memory_mib, time.monotonic())
+            self.words[DAEMON] = Word(
+                info.pid, "ready", info.refusal, info.cpu_percent, info.memory_mib, time.monotonic()
+            )

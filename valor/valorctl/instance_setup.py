@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 import bifrost
-from valor.common import recordings, whole_file
+from valor.common import membership, recordings, whole_file
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import ClockMode, Instance, Recording, Settings
@@ -173,7 +173,9 @@ def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
         recordings.save_bounds(instance.bags, wanted.recording.bounds)
         _make_private(instance.folder)
         _rotate_logs(instance)
-        bifrost.Network.create(instance.network_file, instance.keys, ports=daemon_ports(ros_domain))
+        bifrost.Network.create(
+            instance.network_file, instance.keys, ports=daemon_ports(ros_domain), charter=membership.charter(instance)
+        )
         settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
         whole_file.write(instance.settings_file, settings.json())
     except OSError as error:

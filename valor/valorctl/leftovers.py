@@ -126,6 +126,7 @@ def files_of(instance: Instance) -> list[Path]:
         instance.settings_file,
         instance.network_file,
         instance.keys,
+        instance.owners,
         instance.behavior_file,
         supervisor_config.config_file(instance),
         supervisor_config.pid_file(instance),

@@ -157,8 +157,7 @@ def stop(instance: Instance, goal: Goal, check: Callable[[], None] = lambda: Non
         ros = _Ros(instance, goal, began)
         try:
             while not (state := system.confirmed()):
-                answered = system.path.answer or ros.path.answer
-                if time.monotonic() - began > max(goal.longest, 0.0 if answered else LONGEST_WITHOUT_ANSWER):
+                if time.monotonic() - began > _patience(goal, system.path, ros.path):
                     break
                 check()
                 system.wait()
@@ -169,6 +168,13 @@ def stop(instance: Instance, goal: Goal, check: Callable[[], None] = lambda: Non
         finally:
             ros.close("not needed" if system.confirmed() else "")
         return Stop(state, time.monotonic() - began, system.seen(), [system.path, ros.path])
+
+
+def _patience(goal: Goal, bifrost_path: Path, ros_path: Path) -> float:
+    """How long to go on trying [s]."""
+    if bifrost_path.after is not None:
+        return goal.longest
+    return LONGEST if ros_path.answer else LONGEST_WITHOUT_ANSWER
 
 
 class _MotionSystem:
@@ -259,15 +265,15 @@ class _MotionSystem:
 
         The next one begins in Freeze or Fall; one that is merely silent would go on where it was.
         """
-        if self._holding:
-            return self._client.server is None
-        return self._behavior in self._goal.reached
+        return self._behavior in self._goal.reached or (self._holding and self._client.server is None)
 
     def confirmed(self) -> str:
         """What the robot is known to be in, if that is what is meant."""
         if self._since is None or self._heard - self._since < LASTING:
             return ""
-        return "held by comms_manager: there is no motion_manager" if self._holding else self._behavior
+        if self._behavior in self._goal.reached:
+            return self._behavior
+        return "held by comms_manager: there is no motion_manager"
 
     def seen(self) -> str:
         """What is known of the motors."""

@@ -86,6 +86,7 @@ def environment(instance: Instance, python: str, inherited: Mapping[str, str]) -
             MARKER: "1",
             PYTHON: python,
             FOLDER: str(instance.folder),
+            "BIFROST_OWNERS": str(instance.owners),
             "PYTHONUNBUFFERED": "1",
             "MUJOCO_GL": "disable",  # no service draws, and `import mujoco` fails where EGL is asked for and absent
             # One thread each: pools of them fight over the cores that the control loops need.

@@ -13,12 +13,13 @@ import bifrost
 from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Figures, Timeliness, Track
 from valor.analysis.walk_report import WalkReport
+from valor.common import membership
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor, VelocityCommand
 from valor.common.motion_tables import Walking as Limits
 from valor.common.robot import RobotDescription
-from valor.common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VELOCITY
+from valor.common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VALORCTL, VELOCITY
 from valor.valorctl import control_mode
 from valor.valorctl.steering import Line
 
@@ -133,7 +134,7 @@ def walk(
     if report.behavior == "fall":
         raise ValorError("the robot has fallen: see `valorctl get-up`")
     before = report.current_control_mode
-    network = bifrost.Network.load(instance.network_file, instance.keys)
+    network = membership.network(instance, VALORCTL)
     with bifrost.Node("valorctl", network=network) as node:
         if before in MODES:
             _require_nobody_leads(node)

@@ -15,6 +15,7 @@ from threading import Event
 import numpy as np
 
 import bifrost
+from valor.common import membership
 from valor.common.devices.hdt_bus import Fault as ModuleFault
 from valor.common.devices.table import HdtBifrost, HdtLimb
 from valor.common.messages import HdtCommand, HdtState, JointMode
@@ -73,7 +74,7 @@ class Hdt(Device):
         assert isinstance(table, HdtBifrost)
         self._table = table
         instance, robot = context.instance, context.robot
-        self._node = bifrost.Node("comms_manager", network=bifrost.Network.load(instance.network_file, instance.keys))
+        self._node = bifrost.Node("comms_manager", network=membership.network(instance, "comms_manager"))
         self._limbs: list[_Limb] = []
         for limb in table.limbs:
             first = self._limbs[-1].part.stop if self._limbs else 0

@@ -1,0 +1,248 @@
+"""What is granted to one is had by nobody else: neither with the network's common keys nor with another owner's."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+import zmq
+
+import bifrost
+from bifrost import Computer, Grants, directory
+from bifrost.network import own_key_file
+from bifrost.security import connect
+from tests.bifrost.network import Answer, BifrostNetwork, Question, Sample, connected, sample, until
+from valor.valorctl.ros_domain import daemon_ports
+
+OWNED, FREE, SERVICE = "arm/motor", "lab/free", "arm/ask"
+SILENCE = 0.3  # in which a message would have come [s]
+
+
+@pytest.fixture(scope="module")
+def lasting(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[BifrostNetwork]:
+    """Two computers, near and far; the arm owns a topic and a service, the recorder another topic."""
+    folder, ports = tmp_path_factory.mktemp("granted"), daemon_ports(ros_domain)
+    port = bifrost.Network.create(folder / "one.json", folder / "keys", "0.0.0.0", ports).computer.port
+    computers = [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)]
+    publishers = {OWNED: ["arm", "spare"], "recorder/state": ["recorder"]}
+    made = BifrostNetwork(folder, ports, computers, publishers, {SERVICE: ["arm"]})
+    made.start_daemon("near")
+    made.start_daemon("far")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def net(lasting: BifrostNetwork) -> Iterator[BifrostNetwork]:
+    yield lasting
+    lasting.dismiss()
+
+
+def ignorant(net: BifrostNetwork, owner: str = "") -> bifrost.Network:
+    """The network as somebody sees it who does not care what is granted to whom."""
+    network = net.on("near", owner)
+    daemon = {"bifrostd": network.grants.owners["bifrostd"]}
+    return replace(network, grants=Grants(daemon))
+
+
+def refusal(net: BifrostNetwork, computer: str = "near") -> str:
+    info = bifrost.daemon_alive(net.on(computer), 5.0)
+    assert info is not None
+    return info.refusal
+
+
+def test_everybody_hears_an_owner_and_owners_hear_everybody(net: BifrostNetwork) -> None:
+    arm, member = net.node("arm", "near", "arm"), net.node("member", "far")
+    connected(
+        arm.publisher(OWNED, Sample),
+        member.subscriber(OWNED, Sample, queue=100),
+        arm.subscriber(OWNED, Sample, queue=100),
+    )
+    connected(member.publisher(FREE, Sample), arm.subscriber(FREE, Sample, queue=100))
+    latched = arm.publisher(FREE + "/of_the_arm", Sample, latched=True)
+    latched.publish(sample(7))
+    assert member.subscriber(FREE + "/of_the_arm", Sample).receive(10.0) is not None
+    connected(net.node("spare", "far", "spare").publisher(OWNED, Sample), member.subscriber(OWNED, Sample, queue=100))
+
+
+def test_whoever_is_honest_is_told_at_once(net: BifrostNetwork) -> None:
+    for owner, name in (("", "evil"), ("recorder", "recorder")):
+        node = net.node(name, "near", owner)
+        with pytest.raises(bifrost.Error, match=f"^{name} wants to publish arm/motor, which is arm or spare's$"):
+            node.publisher(OWNED, Sample)
+        with pytest.raises(bifrost.Error, match=f"^{name} wants to serve arm/ask, which is arm's$"):
+            node.server(SERVICE, Question, Answer, lambda question, origin: Answer("", 0))
+
+
+@pytest.mark.parametrize("stolen", ["", "recorder"])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_forger_is_refused_by_name_and_not_heard(net: BifrostNetwork, stolen: str, first: bool) -> None:
+    arm = None if first else net.node("arm", "near", "arm")
+    real = arm and arm.publisher(OWNED, Sample)
+    hears = [net.node(name, name).subscriber(OWNED, Sample, queue=1000) for name in ("near", "far")]
+    evil = net.node_in(ignorant(net, stolen), "evil")
+    forged = evil.publisher(OWNED, Sample)
+    until(
+        lambda: refusal(net).startswith("evil wants to publish arm/motor, which is arm or spare's: refused"), "refused"
+    )
+    assert f"key of {stolen or 'member'}" in refusal(net)
+    real = real or net.node("arm", "near", "arm").publisher(OWNED, Sample)
+    connected(real, *hears)
+    for count in range(50):
+        forged.publish(sample(1000 + count))
+        real.publish(sample(count))
+    for subscriber in hears:
+        assert subscriber.publishers == ("arm",)
+        came = []
+        while (received := subscriber.receive(SILENCE)) is not None:
+            came.append((received.origin, received.message.count))
+        assert came[-50:] == [("arm", count) for count in range(50)]
+        assert {origin for origin, _ in came} == {"arm"}
+    assert {end.node for end in net.node("watching", "far").graph(5.0).topics[OWNED].publishers} == {"arm"}
+
+
+def test_a_name_and_an_address_under_which_another_one_listens_are_not_believed(net: BifrostNetwork) -> None:
+    """Who announces the owner's public key cannot listen with it: not even a false daemon makes a false publisher."""
+    evil = net.node_in(ignorant(net), "evil")
+    forged = evil.publisher(OWNED, Sample)
+    until(lambda: refusal(net).startswith("evil wants"), "its own registration is refused")
+    record = next(r for r in evil.discovery.records() if r.name == "evil")
+    [entry] = record.entries
+    keys = net.network.grants.owners
+    lie = directory.NodeRecord("arm", 77, 1, "near", 1, (announced(entry, keys["arm"]),), record.schemas)
+    victim = net.node("victim", "near")
+    kinds = {evil: [zmq.DEALER], victim: [zmq.SUB, zmq.SUB]}
+    with contextlib.ExitStack() as opened:
+        sockets = [opened.enter_context(node.connecting_socket(kind)) for node in kinds for kind in kinds[node]]
+        liar, believing, knowing = sockets
+        connect(liar, net.network.computer.daemon, keys["bifrostd"].encode())
+        liar.send(directory.encode(directory.Register(lie)))
+        until(lambda: "arm wants to publish arm/motor" in refusal(net), "the daemon does not believe it")
+
+        def heard_by(direct: zmq.Socket[bytes]) -> bool:
+            forged.publish(sample(1))
+            return bool(direct.poll(20))
+
+        for direct, key in ((believing, keys["arm"]), (knowing, "")):
+            direct.setsockopt(zmq.SUBSCRIBE, b"")
+            victim.connect(direct, announced(entry, key))
+        until(lambda: heard_by(knowing), "who asks for the key that is there hears it")
+        assert not any(heard_by(believing) for _ in range(20))
+
+
+def announced(entry: directory.Entry, key: str) -> directory.Entry:
+    """The same, announced with a key."""
+    return msgspec.structs.replace(entry, key=key)
+
+
+def test_nobody_speaks_for_an_owner(net: BifrostNetwork) -> None:
+    arm, member = net.node("arm", "near", "arm"), net.node("member", "near")
+    connected(arm.publisher(OWNED, Sample), member.subscriber(OWNED, Sample, queue=100))
+    socket = member.connecting_socket(zmq.DEALER)
+    connect(socket, net.network.computer.daemon, net.network.daemon_key)
+    mine = arm.discovery.incarnation
+    for lie in (
+        directory.Leave(mine),
+        directory.Register(directory.NodeRecord("arm", mine, 1, "near", 1)),
+        directory.Heartbeat(mine, 0, -1),
+    ):
+        before = bifrost.daemon_alive(net.on("near"), 5.0)
+        socket.send(directory.encode(lie))
+        until(
+            lambda before=before: bifrost.daemon_alive(net.on("near"), 5.0).refused > before.refused,  # type: ignore[union-attr,misc]
+            "refused",
+        )
+    assert refusal(net) == "member wants to speak for arm, which is arm's: refused"
+    assert [end.node for end in member.graph().topics[OWNED].publishers] == ["arm"]
+    socket.send(directory.encode(directory.Follow("far", 0, -1)))
+    until(lambda: "wants to follow as the daemon of far" in refusal(net), "no member is a daemon")
+    socket.close()
+
+
+def test_a_false_server_is_not_asked(net: BifrostNetwork) -> None:
+    evil = net.node_in(ignorant(net, "recorder"), "evil")
+    asked: list[str] = []
+    false = evil.server(SERVICE, Question, Answer, lambda question, origin: asked.append(origin) or Answer("evil", 0))  # type: ignore[func-returns-value]
+    client = net.node("client", "far").client(SERVICE, Question, Answer)
+    until(lambda: "evil wants to serve arm/ask, which is arm's" in refusal(net), "refused")
+    with pytest.raises(bifrost.NoServerError):
+        client.call(Question("open", 0.0), timeout=SILENCE)
+    true = net.node("arm", "near", "arm").server(SERVICE, Question, Answer, lambda question, origin: Answer("arm", 1))
+    closing = threading.Event()
+
+    def serve() -> None:
+        while not closing.is_set():
+            bifrost.wait([true], timeout=0.05)
+            true.serve()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        assert client.call(Question("open", 0.0), timeout=10.0).text == "arm"
+    finally:
+        closing.set()
+        thread.join()
+    assert (false.serve(), asked) == (0, [])
+
+
+def test_a_daemon_without_its_key_says_so(net: BifrostNetwork, tmp_path: Path) -> None:
+    started = subprocess.run(
+        [sys.executable, "-m", "bifrost.daemon"],
+        env=net.environment("near") | {"BIFROST_OWNERS": ""},
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert (started.returncode, started.stderr.count("\n")) == (78, 1)
+    assert "the key of bifrostd is not given: expected BIFROST_OWNERS" in started.stderr
+
+
+def test_a_record_with_another_key_loses_what_is_not_its_nodes() -> None:
+    keys = {name: bifrost.network.KeyPair.new().public.decode() for name in ("arm", "recorder")}
+    grants = Grants(keys, {OWNED: ("arm",)}, {SERVICE: ("arm",)})
+    for key, kept in ((keys["arm"], 4), (keys["recorder"], 2), ("", 2)):
+        entries = tuple(
+            directory.Entry(kind, topic, (), (), "tcp://127.0.0.1:1", key=key)
+            for kind, topic in (("publisher", OWNED), ("server", SERVICE), ("publisher", FREE), ("subscriber", OWNED))
+        )
+        record, refusals = grants.sift(directory.NodeRecord("node", 1, 1, "near", 1, entries))
+        assert (len(record.entries), len(refusals)) == (kept, 4 - kept)
+
+
+def test_keys_are_for_their_process_alone(net: BifrostNetwork) -> None:
+    for owner in ("bifrostd", "arm", "spare", "recorder"):
+        file = own_key_file(net.owners, owner)
+        assert [path.stat().st_mode & 0o777 for path in (file, file.parent)] == [0o600, 0o700]
+    stranger = own_key_file(net.owners, "stranger")
+    stranger.parent.mkdir(mode=0o700)
+    pair = bifrost.network.KeyPair.new()
+    descriptor = os.open(stranger, os.O_WRONLY | os.O_CREAT, 0o600)
+    os.write(descriptor, pair.public + b"\n" + pair.secret + b"\n")
+    os.close(descriptor)
+    with pytest.raises(bifrost.ConfigurationError, match="no key of an owner"):
+        net.on("near", "stranger")
+    with pytest.raises(bifrost.ConfigurationError, match="no such Bifrost key"):
+        net.on("near", "nobody")
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        ({"owners": {"arm": "short"}}, "owners.arm: expected a public key"),
+        ({"owners": 3}, "owners, publishers, servers: "),
+        ({"publishers": {"a": ["arm"]}}, "publishers.a: expected names of owners"),
+        ({"owners": {"arm": "x" * 40}, "servers": {"a": []}}, "servers.a: expected names of owners"),
+    ],
+)
+def test_grants_that_are_none_are_refused(content: dict[str, object], what: str) -> None:
+    with pytest.raises(bifrost.ConfigurationError, match=what):
+        Grants.read(content, Path("network.json"))
