@@ -48,8 +48,8 @@ class Outlet:
 class Latch(Outlet):
     """The socket of one latched publisher: whoever subscribes gets the last message, once and for itself.
 
-    The socket (XPUB, manual) subscribes nobody by itself. Each newcomer is first subscribed to the last message, sent
-    to it alone, and from then on to what is published. ZeroMQ wakes one reader for all that has come; whoever takes
+    The socket (XPUB, manual) subscribes nobody by itself. Each newcomer is subscribed to what is published and, for a
+    moment, to the last message, sent to it alone. ZeroMQ wakes one reader for all that has come; whoever takes
     the lock therefore serves all newcomers.
     """
 
@@ -91,13 +91,15 @@ class Latch(Outlet):
             if subscription != self._subscription:
                 continue
             self.subscribers += 1
-            # What is set here concerns whoever sent the subscription.
+            # What is set here concerns the subscription's sender, until libzmq looks at its mail, as `send` may: the
+            # end of another subscription found there makes it forget whom this is about. Then the newcomer goes on
+            # hearing what is sent to later ones alone; it knows that it has had that.
+            self.socket.setsockopt(zmq.SUBSCRIBE, self._name + bytes([wire.VERSION]))
             if self._last:
                 alone = self._name + wire.LATCHED
                 self.socket.setsockopt(zmq.SUBSCRIBE, alone)
                 self.socket.send(alone + self._last[len(self._name) :], zmq.NOBLOCK)
                 self.socket.setsockopt(zmq.UNSUBSCRIBE, alone)
-            self.socket.setsockopt(zmq.SUBSCRIBE, self._name + bytes([wire.VERSION]))
 
 
 class Publisher(Generic[M]):
