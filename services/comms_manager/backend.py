@@ -13,9 +13,11 @@ class Backend(ABC):
 
     Attributes:
         waits_for_motor: robot time begins with the first Motor; otherwise it passes by itself.
+        demand: what the devices' condition demands of the robot, as ``DeviceStatus.reaction`` has it.
     """
 
     waits_for_motor = True
+    demand = "keep_balance"
 
     @property
     @abstractmethod

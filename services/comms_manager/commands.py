@@ -1,20 +1,22 @@
-"""Which Motor the devices obey: the newest sound one, until Motor is silent for too long."""
+"""Which Motor the devices obey: the newest sound one, until Motor is silent; the reflex' own, where a robot stepped."""
 
 from __future__ import annotations
 
 import logging
 import math
 import time
-from collections.abc import Callable
 
 import bifrost
-from valor.common.messages import JointMode, Motor
+from valor.common.messages import REFLEX, JointMode, Motor, Proprioceptor
 from valor.common.robot import RobotDescription
+from valor.comms_manager.latch import BehaviorLatch
+from valor.comms_manager.reflex import Reflex
 
 COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
 MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held
 AT_ONCE = 16  # Motors that a period takes in, at most
 TAKING = 5e-4  # likewise, for how long [s]
+ABSENCE = 5  # periods without an answer, after which it is looked whether anybody publishes Motor at all
 _LOOK_EVERY = 0.05  # while waiting: whether anybody publishes Motor at all [s]
 _HIGHEST_MODE = max(JointMode)
 _LOG_EVERY = 10.0  # of each kind of refusal [s]
@@ -31,7 +33,8 @@ class Commands:
     Attributes:
         motor: the one in force; None before the first.
         admitted: how many were admitted, so that a user sees whether ``motor`` is new.
-        silent: Motor came, and then no more. The joints are to be held where they are, or left ``limp``.
+        abandoned: Motor came, and then no more.
+        silent: nor does the reflex make any. The joints are to be held where they are, or left ``limp``.
         limp: the last Motor asked for no force but damping: it goes on acting while Motor is silent.
         refused: how many were refused.
         waits_timed_out: how often ``wait`` gave up.
@@ -41,11 +44,13 @@ class Commands:
         self,
         subscriber: bifrost.Subscriber[Motor],
         robot: RobotDescription,
-        admitted: Callable[[str], None] = lambda behavior: None,
+        latch: BehaviorLatch,
+        reflex: Reflex,
     ) -> None:
-        """``admitted`` is told the behavior of every Motor that is admitted."""
+        """``latch`` is told the behavior of every Motor that is admitted; ``reflex`` leads a robot left stepping."""
         self._subscriber = subscriber
-        self._tell = admitted
+        self._latch, self._reflex = latch, reflex
+        self._state: Proprioceptor | None = None
         self._length = len(robot.joints)
         self._max_age = round(COMMAND_TIMEOUT * robot.tables.control_rate)
         self._first = self._current = 0
@@ -56,16 +61,33 @@ class Commands:
         self._logged: dict[str, float] = {}
         self.motor: Motor | None = None
         self.admitted = 0
-        self.silent = self.limp = False
+        self.abandoned = self.limp = False
         self.refused = 0
         self.waits_timed_out = 0
 
-    def measured(self, sequence: int, time: int) -> None:
-        """A Proprioceptor was published: what is admitted from now on answers it at the newest."""
-        self._first = self._first or sequence
-        self._current, self._time = sequence, time
-        if self.motor is not None and time - self._admitted_at > COMMAND_TIMEOUT * 1e9:
-            self._fall_silent(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
+    def measured(self, state: Proprioceptor, demand: str) -> None:
+        """A Proprioceptor was published: what is admitted from now on answers it at the newest.
+
+        Args:
+            state: it.
+            demand: of the devices, as ``DeviceStatus.reaction`` has it.
+        """
+        self._first = self._first or state.sequence
+        self._state, self._current, self._time = state, state.sequence, state.time
+        if self.motor is not None and not self.abandoned:
+            if self._time - self._admitted_at > COMMAND_TIMEOUT * 1e9:
+                self._fall_silent(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
+            elif self.age > ABSENCE and not self._subscriber.publishers:
+                self._fall_silent("nobody publishes Motor any more")
+        if self._reflex.active:
+            self.take()
+        if self._reflex.active:
+            self._react(state, demand)
+
+    @property
+    def silent(self) -> bool:
+        """Nobody drives the joints."""
+        return self.abandoned and not self._reflex.active
 
     @property
     def age(self) -> int:
@@ -126,7 +148,9 @@ class Commands:
         return self.motor is not None and self.age <= 0
 
     def _consider(self, motor: Motor, origin: str) -> None:
-        """Admit a Motor, or count and log why not."""
+        """Admit a Motor, or count and log why not; those of one that stands aside for the reflex are passed over."""
+        if motor.behavior == REFLEX or (self._reflex.active and not self._reflex.yields_to(motor)):
+            return
         if reason := self._fault(motor):
             self.refused += 1
             kind = reason.partition(":")[0]
@@ -135,14 +159,16 @@ class Commands:
                 self._logged[kind] = now
                 _log.warning("Motor from %s refused: %s (%d refused since start)", origin, reason, self.refused)
             return
+        if self._reflex.active:
+            self._reflex.leave(f"Motor from {origin} lets the robot go")
         self.motor = motor
         self.admitted += 1
         self._answered = motor.proprioceptor_sequence
         self._admitted_at = self._time
         self._writer = motor.writer
-        self._tell(motor.behavior)
-        if self.silent:
-            self.silent = self.limp = False
+        self._latch.update(motor.behavior)
+        if self.abandoned:
+            self.abandoned = self.limp = False
             self._misses = 0
             _log.info("Motor from %s again; the joints obey it", origin)
 
@@ -174,10 +200,30 @@ class Commands:
         return ""
 
     def _fall_silent(self, why: str) -> None:
-        if not self.silent:
-            self.silent = True
-            self.limp = self.motor is not None and not drives(self.motor)
-            _log.warning("%s: the joints %s", why, "stay limp" if self.limp else "are held where they are")
+        if self.abandoned or self.motor is None or self._state is None:
+            return
+        self.abandoned = True
+        if self._reflex.begin(self._latch.behavior, self.motor, self._state):
+            _log.warning("%s: the robot, left in %s, is brought to stand", why, self._latch.behavior)
+        else:
+            self._rest(why)
+
+    def _react(self, state: Proprioceptor, demand: str) -> None:
+        """The reflex answers a state, in place of the Motion Manager."""
+        motor = self._reflex.update(state, demand)
+        if motor is not None:
+            self.motor = motor
+            self.admitted += 1
+            self._answered = state.sequence
+            if motor.behavior != REFLEX:
+                self._latch.update(motor.behavior)
+        if not self._reflex.active:
+            self._rest("the balance reflex has ended")
+
+    def _rest(self, why: str) -> None:
+        """Nobody drives the joints from now on."""
+        self.limp = self.motor is not None and not drives(self.motor)
+        _log.warning("%s: the joints %s", why, "stay limp" if self.limp else "are held where they are")
 
 
 def drives(motor: Motor) -> bool:

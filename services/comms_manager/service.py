@@ -7,13 +7,14 @@ from collections import deque
 
 import bifrost
 from valor.common.floods import STREAM
-from valor.common.messages import ClockStatus, Motor, Proprioceptor
+from valor.common.messages import REFLEX, ClockStatus, Motor, Proprioceptor
 from valor.common.service import Context, quiet_collector
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import AT_ONCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
+from valor.comms_manager.reflex import Reflex
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
 
@@ -30,7 +31,8 @@ class CommsManager:
         self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
         motors = node.subscriber(MOTOR.name, Motor, queue=AT_ONCE, limit=STREAM)
         self._statistics.watch((motors,))
-        self._commands = Commands(motors, context.robot, self._latch.update)
+        self._reflex = Reflex(context.robot)
+        self._commands = Commands(motors, context.robot, self._latch, self._reflex)
         self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
         self._backend = make_backend(context)
         # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier
@@ -83,12 +85,12 @@ class CommsManager:
     def _measure(self) -> Proprioceptor:
         self._sequence += 1
         state = self._backend.measure(self._sequence)
-        state.motor_behavior = self._latch.behavior
+        state.motor_behavior = REFLEX if self._reflex.active else self._latch.behavior
         return state
 
     def _publish(self, state: Proprioceptor) -> None:
-        self._commands.measured(state.sequence, state.time)
         self._proprioceptor.publish(state)
+        self._commands.measured(state, self._backend.demand)
 
 
 def make_backend(context: Context) -> Backend:

@@ -12,7 +12,7 @@ from math import acos, degrees
 
 import numpy as np
 
-from valor.common.messages import MotionState, Motor, Proprioceptor
+from valor.common.messages import REFLEX, MotionState, Motor, Proprioceptor
 from valor.common.model import Model
 from valor.common.robot import FloatVector, RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
@@ -41,7 +41,7 @@ from valor.motion_manager.handlers.tuning import TuningHandler
 from valor.motion_manager.handlers.velocity import VelocityHandler
 from valor.motion_manager.joint_gains import JointGains
 from valor.motion_manager.joint_reference import JointReference
-from valor.motion_manager.posture_control import PostureControl
+from valor.motion_manager.posture_control import AT_REST, PostureControl
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.upper_body import UpperBody
 from valor.motion_manager.watchdogs import Gap, ProprioceptorWatchdog
@@ -67,6 +67,8 @@ UPRIGHT = 0.5  # of the tilt at which the robot counts as falling: at most so mu
 FOOT_LOAD = 0.15  # of the robot's weight: at least so much on each foot to stand
 FEET_LOAD = 0.6  # likewise on both together
 
+_ASIDE = "the Comms Manager brings the robot to stand, whose Motion Manager fell silent"
+
 _log = logging.getLogger("motion_manager")
 
 
@@ -86,6 +88,7 @@ class MotionManager:
         device_reactions: goes to safer behaviors when devices fail.
         in_control: whether a believable Proprioceptor has been answered.
         silent: set by the loop: why no Proprioceptor comes, or an empty text.
+        aside: that the Comms Manager's reflex has the robot; an empty text: it has not.
     """
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
@@ -143,6 +146,7 @@ class MotionManager:
         self._proprioceptor_sequence = 0
         self._time = 0
         self._taken_over = 0  # robot time at which this world came into our hands [ns]
+        self.aside = ""
         self._errors = 0  # consecutive
         self._qp_failures = 0  # consecutive
 
@@ -178,7 +182,8 @@ class MotionManager:
                 self._fall("errors of the Motion Manager, see its log")
         self._sequence += 1
         self._proprioceptor_sequence = proprioceptor.sequence
-        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, self.fsm.behavior)
+        behavior = REFLEX if self.aside else self.fsm.behavior
+        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, behavior)
 
     def conditions(self) -> Conditions:
         """What the robot's condition has against transitions."""
@@ -200,8 +205,8 @@ class MotionManager:
 
     def out_of_control(self) -> str:
         """Why there is no robot to change the behavior of; an empty text: there is one."""
-        if self.silent:
-            return self.silent
+        if self.aside or self.silent:
+            return self.aside or self.silent
         return "" if self.in_control else f"no {PROPRIOCEPTOR.name} yet"
 
     # --- one period -----------------------------------------------------------------------------------------------
@@ -217,6 +222,10 @@ class MotionManager:
             return
         before, self._time = self._time, proprioceptor.time
         gap = self._watchdog.discontinuity(proprioceptor)
+        if self.aside or proprioceptor.motor_behavior == REFLEX:
+            if self._stand_aside(proprioceptor):
+                return
+            gap = gap or Gap("the Comms Manager brought the robot to stand", same_world=True)
         taken_over = gap is not None or not self.in_control
         if taken_over:
             self._begin()
@@ -245,6 +254,24 @@ class MotionManager:
         self._drive(state, now, dt)
         self.in_control = True
 
+    def _stand_aside(self, proprioceptor: Proprioceptor) -> bool:
+        """While the Comms Manager's reflex brings the robot to stand nobody else leads it; returns whether it does.
+
+        A robot that is let go stays so: the reflex yields to that.
+        """
+        aside = proprioceptor.motor_behavior == REFLEX and self.fsm.behavior is not Behavior.FALL
+        if aside and not self.aside:
+            self.in_control = False
+            if self._locomotion in self._step_sources:
+                self._end_stepping(Locomotion.IDLE)
+            self._controller.leave()
+            self._locomotion = None
+            if self.fsm.may_go(Behavior.SOFT_STOP):
+                self.fsm.go(Behavior.SOFT_STOP, _ASIDE)
+            self.fsm.remark(_ASIDE)
+        self.aside = _ASIDE if aside else ""
+        return aside
+
     def _begin(self) -> None:
         """A robot comes into our hands, for the first time or after we have lost sight of it."""
         self._taken_over = self._time
@@ -263,16 +290,16 @@ class MotionManager:
     def _find_again(self, gap: Gap, state: RobotState) -> None:
         """The robot has lived without us for a while; its devices have held its joints.
 
-        One that stood, and still stands on both feet, goes on being held: to let go would fell it. One that was
-        stepping, or that does not stand any more, is let go, and so is one that is not known. One that was being
-        brought to its posture stays where it is: nothing moves because something restarted.
+        One that balanced, and stands still on both feet, goes on being held: to let go would fell it. One that is
+        still in the middle of a step, or that does not stand any more, is let go, and so is one that is not known. One
+        that was being brought to its posture stays where it is: nothing moves because something restarted.
         """
         _log.warning("%s", gap.reason)
         if self.fsm.behavior is Behavior.STAND_PREP:
             self.fsm.go(Behavior.FREEZE, f"{gap.reason}; what was on its way to the posture is held")
             return
         lost = "" if gap.same_world else "it is not known"
-        lost = lost or ("it was stepping" if self._controller.stepping else "")
+        lost = lost or ("it was stepping, and moves" if self._controller.stepping and self._legs_move(state) else "")
         lost = lost or ("it was getting up" if self.fsm.locomotion is Locomotion.GET_UP else "")
         lost = lost or self._not_upright(state) or self._not_loaded(state)
         if lost:
@@ -447,6 +474,9 @@ class MotionManager:
         if left + right < FEET_LOAD * self._weight:
             return f"the feet carry {left + right:.0f} N; expected at least {FEET_LOAD * self._weight:.0f} N"
         return ""
+
+    def _legs_move(self, state: RobotState) -> bool:
+        return bool((self._command.force * np.abs(state.joint_velocity)).max() > AT_REST)
 
     def _not_upright(self, state: RobotState) -> str:
         tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))

@@ -203,7 +203,9 @@ class MotionManagerService:
         self._trace.mark(Stage.SEND_MOTOR, proprioceptor.sequence)
         self._motion_state.publish(manager.report(time.monotonic() - began, self._tick_time))
         self._trace.mark(Stage.SEND_STATE)
-        if manager.in_control and manager.silent:
+        if manager.aside:
+            self._wait_for_robot(manager.aside)
+        elif manager.in_control and manager.silent:
             manager.silent = ""
             self._statistics.state("ready")
 

@@ -14,6 +14,7 @@ import pytest
 
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from valor.common.messages import (
+    REFLEX,
     BehaviorReply,
     BehaviorRequest,
     Footstep,
@@ -29,6 +30,7 @@ from valor.common.messages import (
     PushRequest,
     Rejection,
     Statistics,
+    VelocityCommand,
 )
 from valor.common.robot import RobotDescription
 from valor.common.topics import (
@@ -42,6 +44,7 @@ from valor.common.topics import (
     PUSH,
     REJECTION,
     STATISTICS,
+    VELOCITY,
 )
 from valor.motion_manager.behaviors import Behavior
 
@@ -69,6 +72,7 @@ class MotionSystem:
         self._statistics = node.subscriber(STATISTICS["motion_manager"].name, Statistics)
         self.motors = node.subscriber(MOTOR.name, Motor)
         self._setpoints = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+        self._velocity = node.publisher(VELOCITY.name, VelocityCommand)
         self._behavior = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
         self._footsteps = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
         self._push = node.client(PUSH.name, PushRequest, PushReply)
@@ -143,6 +147,18 @@ class MotionSystem:
         for name, value in changes.items():
             setattr(message, name, value)
         self._setpoints.publish(message)
+
+    def walk_on_one_foot(self, seconds: float) -> None:
+        """Walk ahead at 0.3 m/s, at least so long [robot time], until a foot is in the air."""
+        self.go(Behavior.WALK)
+        until = self.now() + round(seconds * 1e9)
+
+        def step() -> bool:
+            self._velocity.publish(VelocityCommand(self.now(), 0.3, 0.0, 0.0))
+            state = self.look()
+            return state is not None and state.time > until and state.contacts.sum() == 1
+
+        wait_until(step, 60.0, "a foot in the air", period=0.02)
 
     def lead(self, setpoints: Mapping[str, float], until: Callable[[MotionState], bool], what: str) -> MotionState:
         """Stream set-points until something is so."""
@@ -262,6 +278,41 @@ def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(instance: R
     assert system.height < 0.5
     assert max(float(np.abs(each.joint_effort).max()) for each in limp) < DAMPING_ALONE
     assert "stay limp" in instance.log("comms_manager")
+
+
+def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand(
+    instance: RunningInstance,
+) -> None:
+    instance.configure(real_time_factor=1.0, actuators="hardware")
+    system = MotionSystem(instance)
+    measured = instance.node("witness").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+
+    def led_by_the_reflex() -> bool:
+        received = measured.latest()
+        return received is not None and received.message.motor_behavior == REFLEX
+
+    def stopped_and_continued() -> None:
+        process = system.instance.process("motion_manager")
+        process.send_signal(signal.SIGSTOP)
+        try:
+            wait_until(led_by_the_reflex, 30.0, "the reflex")
+            wait_until(lambda: (r := measured.latest()) and r.message.motor_behavior == "walk", 30.0, "its end")
+        finally:
+            process.send_signal(signal.SIGCONT)
+
+    ways: tuple[tuple[Callable[[], object], str], ...] = (
+        (lambda: killed_and_back(system), "before, the robot was in walk"),
+        (stopped_and_continued, "it stands, and is held"),
+    )
+    for what, reason in ways:
+        system.go(Behavior.STAND_PREP)
+        system.stand()
+        system.walk_on_one_foot(3.0)
+        what()
+        assert reason in system.wait_behavior(Behavior.FREEZE).reason
+        assert system.pass_time(1.0).behavior == Behavior.FREEZE
+        assert system.height > STANDING
+    assert "it stands, after" in instance.log("comms_manager")
 
 
 def test_both_managers_killed_the_robot_is_not_brought_to_its_feet(instance: RunningInstance) -> None:

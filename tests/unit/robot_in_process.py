@@ -7,7 +7,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from valor.common.messages import BehaviorRequest
+from valor.common.messages import BehaviorRequest, Motor
 from valor.common.model import controller_model
 from valor.common.robot import FloatVector, RobotDescription
 from valor.motion_manager.behaviors import Behavior
@@ -24,7 +24,10 @@ class RobotInProcess:
 
     Attributes:
         peak: (n,) largest torque of each joint [N·m]; set it to zero to begin anew.
+        motor: the last one.
     """
+
+    motor: Motor
 
     def __init__(self, robot: RobotDescription, profile: str, seed: int) -> None:
         self.plant = Plant(robot, "flat", profile, seed)
@@ -54,7 +57,8 @@ class RobotInProcess:
         """One control period."""
         self._sequence += 1
         measured = self._sensors.measure(self._sequence, round(self.time * 1e9))
-        self.plant.actuators.obey(self.manager.tick(measured))
+        self.motor = self.manager.tick(measured)
+        self.plant.actuators.obey(self.motor)
         self.plant.step(self._substeps)
         np.maximum(self.peak, np.abs(self.plant.actuators.effort), out=self.peak)
 

@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from bifrost import Message, Received
 from tests.conftest import ROBOTS, examples
-from valor.common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
+from valor.common.messages import (
+    REFLEX,
+    BehaviorRequest,
+    JointMode,
+    JointSetpoints,
+    Motor,
+    Proprioceptor,
+    VelocityCommand,
+)
 from valor.common.model import controller_model
 from valor.common.robot import FloatVector, RobotDescription
 from valor.motion_manager.behaviors import Behavior
@@ -299,7 +307,8 @@ def test_a_robot_that_is_found_lying_is_let_go(standing: Robot, found: dict[str,
     assert not motor.effort.any()
 
 
-def test_a_robot_that_was_stepping_without_us_is_let_go(standing: Robot) -> None:
+@pytest.fixture
+def stepping(standing: Robot) -> Robot:
     assert not standing.ask(Behavior.WALK)
     standing.manager.velocity_handler.handle(
         Received(VelocityCommand(standing.time, 0.2, 0.0, 0.0), 0, 1, "valor_ros_controller"), standing.time
@@ -308,9 +317,63 @@ def test_a_robot_that_was_stepping_without_us_is_let_go(standing: Robot) -> None
         standing.tick()
         if standing.manager.conditions().stepping:
             break
-    standing.tick(elapsed=60 * PERIOD)
+    return standing
+
+
+@pytest.mark.parametrize(
+    ("speed", "found", "why"),
+    [(1.0, Behavior.FALL, "it was stepping, and moves"), (0.0, Behavior.FREEZE, "it stands, and is held")],
+)
+def test_a_robot_that_was_stepping_without_us_is_let_go_unless_it_has_come_to_rest(
+    stepping: Robot, speed: float, found: Behavior, why: str
+) -> None:
+    stepping.tick(elapsed=60 * PERIOD, joint_velocity=np.full(N, speed))
+    assert stepping.behavior is found
+    assert why in stepping.manager.fsm.reason
+
+
+def aside(robot: Robot, seconds: float = 0.1, **changes: object) -> None:
+    """The Comms Manager's reflex has the robot."""
+    for _ in range(round(seconds / ROBOT.control_period)):
+        motor = robot.tick(motor_behavior=REFLEX, **changes)
+        assert motor.behavior == REFLEX
+    assert "the Comms Manager brings the robot to stand" in robot.ask(Behavior.STAND)
+    assert not robot.manager.in_control
+
+
+def test_a_new_motion_manager_waits_for_the_reflex_and_holds_what_it_leaves() -> None:
+    robot = Robot()
+    aside(robot, left_foot_wrench=np.zeros(6))
+    assert robot.behavior is Behavior.IDLE
+    found = np.clip(ROBOT.nominal_posture + 0.1, ROBOT.lower, ROBOT.upper)
+    motor = robot.tick(motor_behavior="walk", joint_position=found)
+    assert robot.behavior is Behavior.FREEZE
+    assert np.array_equal(motor.position, found)
+    robot.run(0.1)
+    assert not robot.ask(Behavior.STAND_PREP)
+
+
+def test_one_that_walked_and_was_stopped_does_not_go_on_walking(stepping: Robot) -> None:
+    stepping.time += 100 * PERIOD
+    aside(stepping, left_foot_wrench=np.zeros(6))
+    assert stepping.behavior is Behavior.SOFT_STOP
+    stepping.run(0.1, motor_behavior="walk")
+    assert stepping.behavior is Behavior.FREEZE
+    assert "the Comms Manager brought the robot to stand" in stepping.manager.fsm.reason
+
+
+def test_what_the_reflex_leaves_on_one_foot_is_let_go(stepping: Robot) -> None:
+    aside(stepping)
+    stepping.run(0.1, motor_behavior="walk", left_foot_wrench=np.zeros(6))
+    assert stepping.behavior is Behavior.FALL
+
+
+def test_a_robot_that_was_let_go_stays_so_beside_the_reflex(standing: Robot) -> None:
+    assert not standing.ask(Behavior.FALL)
+    for _ in range(10):
+        assert standing.tick(motor_behavior=REFLEX).behavior == Behavior.FALL
+    standing.run(0.1, motor_behavior="fall")
     assert standing.behavior is Behavior.FALL
-    assert "it was stepping" in standing.manager.fsm.reason
 
 
 def test_in_stand_prep_a_new_world_is_held_as_it_is_found(robot: Robot) -> None:

@@ -44,6 +44,10 @@ class Proprioceptor(Message):
     motor_behavior: str  # behavior of the newest Motor since the instance came up; empty: none yet
 
 
+REFLEX = "reflex"
+"""``motor_behavior`` while the Comms Manager itself brings a robot to stand whose Motion Manager fell silent."""
+
+
 class Motor(Message):
     """One command for every motor. ``proprioceptor_sequence`` says which Proprioceptor it answers.
 

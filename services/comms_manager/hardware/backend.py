@@ -179,7 +179,8 @@ class Hardware(Backend):
         remaining = duration
         while True:
             # Each as it comes, and not the newest alone: one that comes after its period is late enough already.
-            commands.listen(remaining)
+            if not commands.answered:
+                commands.listen(remaining)
             self._hand_out(commands)
             remaining = due - time.perf_counter()
             if remaining <= 0.0:
@@ -288,6 +289,7 @@ class Hardware(Backend):
     def attend(self) -> None:
         """Watch the devices; report them when something changes, and every second."""
         if self._watch.update(self._time):
+            self.demand = self._watch.reaction.name.lower()
             self._status.publish(self._watch.report(self._time))
             voltages = [record.voltage for device in self._moving for record in device.records]
             if known := [voltage for voltage in voltages if not math.isnan(voltage)]:

@@ -90,7 +90,7 @@ class Lockstep(Clock):
         self._obey(commands)
         self._step(self._steps)
         # Without a controller nobody wants the robot to age faster than the world.
-        self._unhurried = commands.silent
+        self._unhurried = commands.abandoned
         return waited
 
 

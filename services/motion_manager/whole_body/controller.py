@@ -155,6 +155,12 @@ class WholeBodyController:
         self._effort = np.clip(state.joint_effort, -self._effort_limit, self._effort_limit)
         self._forces = state.foot_forces.copy()
 
+    def catch(self, state: RobotState) -> None:
+        """After ``reset``: a foot that is found in the air comes down where the DCM needs it, and the robot stands."""
+        foot = int(state.foot_forces.argmin())
+        if not state.contacts[foot]:
+            self._gait.catch(state, self._recovery, foot, state.dcm_in_odom - self._wishes.shift)
+
     def leave(self) -> None:
         """Somebody else has the legs: what had begun is forgotten."""
         self._gait.stop()

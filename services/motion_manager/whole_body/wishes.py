@@ -30,6 +30,7 @@ CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up f
 
 _STATE = (6, 18, 3, 3, 3, 24, 9, 9)  # soles' places and rotations, CoM, DCM, pelvis' velocity, of tasks, rotations
 _MEMORY = (1, 3, 9, 9, 3, 3)  # of ``Begun``, then the law's integral, then the stance that is kept
+_SHIFT = slice(4, 7)  # of it: the first row of ``Begun.shift``
 _SWING = (3, 9, 6, 6)  # of ``SwingPoint``
 
 
@@ -144,6 +145,7 @@ class Wishes:
             ca.DM(state.dynamics.chest_rotation),
         )
         self._memory[:] = np.array(ca.vertcat(_numbers(begun), ca.DM.zeros(3), stance.stance(feet)))[:, 0]
+        self.shift = self._memory[_SHIFT].copy()
         self._legs_start[:] = state.joint_position[self._places][self._legs]
 
     def update(self, state: RobotState, gait: Gait, reference: UpperBodyReference, dt: float) -> None:

@@ -32,6 +32,7 @@ QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon
 SHORTEST_PIECE = 0.01  # of a plan [s]
 FOLLOWED = 1e-3  # moves of a late foot's foothold below it are none [m]
 MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
+EARLY = 0.15  # of a swing's duration: a foot that was found in the air may be about to land
 LOWERING = 8.0  # with which it is lowered for a step that goes further than planned [1/s]
 
 
@@ -66,6 +67,7 @@ class Gait:
         self._early = 0.0  # that the last foot came down before its time [s]
         self._landed: int | None = None
         self._sways = True  # before the first step
+        self._earliest = 0.0  # of the swing's duration: the foot may have landed
         self._giving = robot.tables.disturbance.giving
         self._planned_lowering = 0.0  # of the CoM over the stance foot [m]
         self._lower = self._lowered = 0.0  # by how much more it shall be, and is, for a step that was adjusted [m]
@@ -117,6 +119,27 @@ class Gait:
             return self._guard.cost(dcm - self._plan.at(0.0)[0])
 
         begin(min((LEFT, RIGHT), key=begin))
+
+    def catch(self, state: RobotState, source: RecoverySteps, foot: int, dcm: FloatArray) -> None:
+        """Go on from a robot that is found with a foot in the air: that foot comes down where the DCM needs it.
+
+        Args:
+            state: the robot's.
+            source: of the steps.
+            foot: in the air.
+            dcm: (3,) measured, were its arms nominal [m].
+        """
+        source.lead(foot)
+        soles = sole_poses(state)
+        step, *others = source.upcoming(soles)
+        step = replace(step, transfer_duration=SHORTEST_PIECE)  # the weight is over the other foot already
+        self.active, self.source = True, source
+        self.dcm, self.vrp = dcm, self._over(soles[1 - foot], 1 - foot)
+        self._early, self._landed, self._sways = 0.0, None, False
+        self._begin_transfer(state, (step, *others))
+        self._time = self._transfer
+        self._begin_swing(state, step)
+        self._earliest = EARLY
 
     @property
     def stepping(self) -> int | None:
@@ -259,7 +282,7 @@ class Gait:
 
     def _begin_swing(self, state: RobotState, step: Step) -> None:
         table = self._table
-        self.swinging = step.foot
+        self.swinging, self._earliest = step.foot, table.earliest_touchdown
         self._trajectory = SwingTrajectory(
             sole_poses(state)[step.foot],
             step.sole,
@@ -319,7 +342,7 @@ class Gait:
     def _touched(self, state: RobotState, foot: int) -> bool:
         step, passed = self._step, self._time - self._transfer
         assert step is not None
-        if passed < self._table.earliest_touchdown * step.swing_duration:
+        if passed < self._earliest * step.swing_duration:
             return False
         felt = state.foot_forces[foot] > self._table.touchdown_force
         return bool(felt) or passed > step.swing_duration + self._table.latest_touchdown
