@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.rules import lawful
-from valor.common.messages import MotionState, Motor
+from valor.common.messages import REFLEX, MotionState, Motor
 from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 
@@ -29,10 +29,12 @@ class MotorChecks:
     def __init__(self, robot: RobotDescription) -> None:
         self._robot = robot
         self._before: Motor | None = None
+        self._led = ""  # behavior of the newest Motor of one that leads
+        self._anew = False  # since then another Motion Manager began, or stood aside
 
     def find(self, motor: Motor) -> list[str]:
         """What is wrong with it."""
-        found = [*self._numbers(motor), *self._order(motor)]
+        found = [*self._numbers(motor), *self._order(motor), *self._behavior(motor)]
         self._before = motor
         return found
 
@@ -54,16 +56,27 @@ class MotorChecks:
         before = self._before
         if before is None:
             return []
-        anew = motor.writer != before.writer
         found = []
-        if anew and motor.writer < before.writer:
+        if motor.writer < before.writer:
             found.append("Motor: of a Motion Manager that another one has followed")
-        if not anew and motor.sequence <= before.sequence:
+        if motor.writer == before.writer and motor.sequence <= before.sequence:
             found.append("Motor: sequence goes back")
-        if not lawful(Behavior(before.behavior), Behavior(motor.behavior), anew=anew):
-            how = "after a restart" if anew else "which no edge leads to"
-            found.append(f"behavior {motor.behavior} after {before.behavior}, {how}")
         return found
+
+    def _behavior(self, motor: Motor) -> list[str]:
+        before, led = self._before, self._led
+        self._anew |= before is not None and motor.writer != before.writer
+        if motor.behavior == REFLEX:  # it stands aside
+            self._anew = True
+            return []
+        anew, self._anew, self._led = self._anew, False, motor.behavior
+        if motor.behavior not in set(Behavior):
+            self._led = led
+            return [f"Motor: unknown behavior {motor.behavior!r}"]
+        if not led or lawful(Behavior(led), Behavior(motor.behavior), anew=anew):
+            return []
+        how = "after a restart or the reflex" if anew else "which no edge leads to"
+        return [f"behavior {motor.behavior} after {led}, {how}"]
 
 
 class StateChecks:
@@ -81,7 +94,9 @@ class StateChecks:
     def find(self, state: MotionState) -> list[str]:
         """What is wrong with a report."""
         commanded = self._commanded.get(state.proprioceptor_sequence, state.behavior)
-        return [f"MotionState says {state.behavior}, its Motor {commanded}"] if commanded != state.behavior else []
+        if commanded in (state.behavior, REFLEX):
+            return []
+        return [f"MotionState says {state.behavior}, its Motor {commanded}"]
 
 
 def growth(samples: Sequence[tuple[float, float]]) -> float:

@@ -19,7 +19,7 @@ from valor.motion_manager.behaviors import Behavior
 HELD = 0.05  # that a joint may give way while its robot is held [rad]
 RECOVERED = 60.0  # in which everything must be ready again [s]
 FRESH = 0.5  # of a MotionState of a robot in somebody's hands [s]
-QUIET = 0.3  # for which mode and behavior must fit [robot time, s]
+QUIET = 1.0  # for which mode and behavior must fit [robot time, s]
 _NEW_WORLD = ("comms_manager", "device_emulators")
 UPRIGHT = frozenset(Behavior) - {Behavior.FALL, Behavior.FREEZE, Behavior.IDLE, Behavior.GET_UP}
 
@@ -126,6 +126,7 @@ class Soak:
         rig = self._rig
         unready = rig.unready(event.process if event.kind else "", pid if event.kind == "kill" else 0, since)
         lost = [] if time.monotonic() - rig.tap.heard < FRESH else ["MotionState"]
+        lost += ["the reflex"] if rig.tap.reflex else []
         unfit = [] if rig.modes.fit(rig.tap.mode, rig.behavior) or event.commands else [f"mode {rig.tap.mode}"]
         missing = ", ".join([*unready, *lost, *unfit])
         self._missing = missing or self._missing

@@ -14,7 +14,7 @@ import numpy as np
 import bifrost
 from tests.soak.checks import MotorChecks, StateChecks
 from valor.common.instance import Instance
-from valor.common.messages import ControlModeReport, GroundTruth, MotionState, Motor, Proprioceptor, Statistics
+from valor.common.messages import REFLEX, ControlModeReport, GroundTruth, MotionState, Motor, Proprioceptor, Statistics
 from valor.common.robot import RobotDescription
 from valor.common.topics import CONTROL_MODE, GROUND_TRUTH, MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
 
@@ -39,6 +39,7 @@ class Tap:
         state: newest MotionState; None: not heard yet.
         mode: newest control mode; empty: not heard yet.
         words: newest Statistics of each service.
+        reflex: the Motion Manager stands aside for the Comms Manager's reflex.
         height: of the pelvis above the world's origin, in truth [m].
         changes: behaviors in order, each with its reason.
     """
@@ -52,6 +53,7 @@ class Tap:
         self.state: MotionState | None = None
         self.mode = ""
         self.words: dict[str, Word] = {}
+        self.reflex = False
         self.height = float("nan")
         self.changes: list[tuple[str, str]] = []
         self.heard = 0.0
@@ -117,6 +119,7 @@ class Tap:
 
     def _hear_motor(self, received: bifrost.Received[Motor]) -> list[str]:
         motor = received.message
+        self.reflex = motor.behavior == REFLEX
         self._state_checks.motor(motor)
         return self._motor_checks.find(motor)
 

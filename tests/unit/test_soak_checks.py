@@ -65,6 +65,13 @@ def test_sound_motors_are_well() -> None:
     assert [tried.find(writer.motor(each)) for each in ("stand", "stand", "walk", "stand", "freeze")] == [[]] * 5
 
 
+def test_one_that_stands_aside_begins_at_rest() -> None:
+    tried, writer = checks.MotorChecks(ROBOT), Writer()
+    assert [tried.find(writer.motor(each)) for each in ("walk", "reflex", "reflex", "freeze")] == [[]] * 4
+    assert [tried.find(writer.motor(each)) for each in ("stand_prep", "stand", "walk", "reflex")] == [[]] * 4
+    assert "walk after walk" in tried.find(writer.motor("walk"))[0]
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -75,6 +82,7 @@ def test_sound_motors_are_well() -> None:
         ({"effort": vector(-1.001 * ROBOT.effort_limit[3])}, f"effort of {ROBOT.joints[3]} beyond"),
         ({"sequence": 1}, "sequence goes back"),
         ({"behavior": "walk_manipulate"}, "no edge"),
+        ({"behavior": "dance"}, "unknown behavior"),
         ({"writer": 2, "behavior": "stand"}, "after a restart"),
         ({"writer": 0, "behavior": "freeze"}, "another one has followed"),
     ],
