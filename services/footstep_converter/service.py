@@ -34,6 +34,7 @@ FEEDBACK_PERIOD = 0.1  # at most, from one to the next [s]
 LAST_TURNS = 10  # in which the results of the last goals leave
 STOP_RETRY = 0.5  # from a stop that was not answered to the next [s]
 TRANSFORM_PATIENCE = 1.0  # for a transform as new as a plan's stamp [s]
+LATE_WORDS = 3  # about the running plan, on their way when the answer to an update was heard
 
 _F = FootstepExecutionStatus
 _log = logging.getLogger("footstep_converter")
@@ -55,6 +56,15 @@ class _Handover:
     steps: list[PlannedStep]
     changeable: int  # of the running plan that it changes, the first step that can be; -1: none runs
     reply: Future[FootstepPlanReply]
+
+
+@dataclass
+class _Refusal:
+    """A change that was refused; why may be on its way: the step that it was to begin with has begun."""
+
+    handover: _Handover
+    outcome: Outcome
+    heard: int = 0  # words about the running plan since
 
 
 class FootstepConverter:
@@ -79,6 +89,7 @@ class FootstepConverter:
 
         self._waiting: _Waiting | None = None
         self._handover: _Handover | None = None
+        self._refusal: _Refusal | None = None
         self._goal: Goal | None = None  # whose plan runs
         self._execution: Execution | None = None
         self._unclaimed: list[StepStatus] | None = None  # words of a plan handed over, before its acceptance is heard
@@ -154,7 +165,7 @@ class FootstepConverter:
         goal.end(Outcome(End.ABORTED, error.status, error.error, str(error)))
 
     def _convert(self, goal: Goal) -> list[PlannedStep]:
-        if self._handover is not None or self._waiting is not None:
+        if self._handover is not None or self._waiting is not None or self._refusal is not None:
             raise _not_now("another plan is being handed to the Motion Manager; send this one again")
         if self._execution is not None and (self._execution.stopping or self._stop_wanted):
             raise _not_now("the running plan is being stopped; send this one again when the robot stands")
@@ -230,14 +241,31 @@ class FootstepConverter:
         return None if answer.accepted else refusal(answer.behavior, answer.reason)
 
     def _not_taken(self, handover: _Handover, refused: Outcome) -> None:
-        execution = self._execution
-        if execution is not None and execution.running_plan.first_changeable > handover.changeable >= 0:
-            # While it was on its way the step that it began to change with has begun: change what comes behind.
-            self._take(handover.goal, time.monotonic())
+        if self._execution is not None and handover.changeable >= 0:
+            self._refusal = _Refusal(handover, refused)
+            self._reconsider(self._execution, 0)
+        else:
+            self._end_refused(handover.goal, refused)
+
+    def _reconsider(self, execution: Execution, heard: int) -> None:
+        """A refused change, now that so many words have been heard of the running plan: what comes behind may do."""
+        refusal = self._refusal
+        if refusal is None:
             return
+        refusal.heard += heard
+        later = execution.running_plan.first_changeable > refusal.handover.changeable
+        if execution.outcome is None and not later and refusal.heard < LATE_WORDS:
+            return
+        self._refusal = None
+        if execution.outcome is None and later:
+            self._take(refusal.handover.goal, time.monotonic())
+        else:
+            self._end_refused(refusal.handover.goal, refusal.outcome)
+
+    def _end_refused(self, goal: Goal, refused: Outcome) -> None:
         self._statistics.rejected += 1
         _log.warning("plan not taken: %s", refused.text)
-        handover.goal.end(refused)
+        goal.end(refused)
 
     def _update(self, handover: _Handover) -> None:
         """The Motion Manager took a goal's steps into the running plan: the goal before it has given way."""
@@ -265,6 +293,7 @@ class FootstepConverter:
             execution.heard_behavior(state.behavior, state.reason, now, state.time)
         self._hear(execution, goal, statuses, now)
         execution.passed(now)
+        self._reconsider(execution, len(statuses))
         if execution.outcome is not None:
             self._end(execution, goal, execution.outcome)
         elif now >= self._next_feedback:
