@@ -96,9 +96,9 @@ class Tap:
             self._moved[:] = 0.0
 
     def moved(self) -> tuple[str, float]:
-        """The joint that was farthest from where it was at the mark, and how far [rad]."""
+        """The joint that was farthest from where it was at the mark, and how far [rad]; none that turns for ever."""
         with self._lock:
-            farthest = int(np.argmax(self._moved))
+            farthest = int(np.argmax(np.where(np.isfinite(self._robot.upper), self._moved, 0.0)))
             return self._robot.joints[farthest], float(self._moved[farthest])
 
     def take_faults(self) -> list[str]:
