@@ -18,23 +18,37 @@ HEAD = "| event | the robot | profile | is then | everything ready after [s]: me
 SOAK = "tests/unit/test_soak_rows.py::test_every_row_is_one_that_the_soak_knows_and_allows"
 _MANAGER = "tests/integration/test_motion_manager.py::"
 _MIDDLE = "test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
-HELD_BY: Mapping[tuple[str, str], str] = {
-    ("kill motion_manager", "standing"): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
-    ("kill motion_manager", "frozen"): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
-    ("kill motion_manager", "walking"): f"{_MANAGER}{_MIDDLE}",
-    ("stop motion_manager 7 s", "walking"): f"{_MANAGER}{_MIDDLE}",
-    ("kill motion_manager", "fallen"): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
-    ("kill comms_manager", "standing"): f"{_MANAGER}test_a_killed_comms_manager_is_a_fall_with_its_reason",
-    ("stop motion_manager 7 s", "standing"): "tests/integration/test_comms_manager.py::"
+HELD_BY: Mapping[tuple[str, str, str], str] = {
+    (
+        "kill motion_manager",
+        "standing",
+        "sim",
+    ): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
+    (
+        "kill motion_manager",
+        "frozen",
+        "sim",
+    ): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
+    ("kill motion_manager", "walking", "sim"): f"{_MANAGER}{_MIDDLE}",
+    ("stop motion_manager 7 s", "walking", "sim"): f"{_MANAGER}{_MIDDLE}",
+    (
+        "kill motion_manager",
+        "fallen",
+        "sim",
+    ): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
+    ("kill comms_manager", "standing", "sim"): f"{_MANAGER}test_a_killed_comms_manager_is_a_fall_with_its_reason",
+    ("kill comms_manager", "standing", "hardware"): "tests/integration/test_hardware.py::"
+    "test_the_comms_manager_may_die_under_a_standing_robot_and_come_back",
+    ("stop motion_manager 7 s", "standing", "sim"): "tests/integration/test_comms_manager.py::"
     "test_waits_out_a_stopped_controller_and_never_replays",
-    ("kill bifrostd", "standing"): "tests/bifrost/test_daemon.py::"
+    ("kill bifrostd", "standing", "sim"): "tests/bifrost/test_daemon.py::"
     "test_data_flows_while_the_daemon_is_dead_and_all_register_again",
-    ("kill bag_recorder", "standing"): "tests/integration/test_bag_recorder.py::"
+    ("kill bag_recorder", "standing", "sim"): "tests/integration/test_bag_recorder.py::"
     "test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes",
-    ("garbage bytes", "standing"): "tests/bifrost/test_security.py::"
+    ("garbage bytes", "standing", "sim"): "tests/bifrost/test_security.py::"
     "test_garbage_on_every_port_ends_nothing_and_delays_nobody",
 }
-"""Tests of their own, beside the soak that draws every row at random: (event, activity) → test."""
+"""Tests of their own, beside the soak that draws every row at random: (event, activity, profile) → test."""
 
 
 def everything(events: Iterable[str], activities: Iterable[str]) -> list[str]:
@@ -57,7 +71,7 @@ def table(outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
         then = ", ".join(name if count == len(made) else f"{name} {count}" for name, count in after.most_common())
         ready = sorted(each["ready"] for each in made if not math.isnan(each["ready"]))
         times = f"{median(ready):.1f}, {ready[-1]:.1f}" if ready else "–"
-        name = HELD_BY.get((event, activity), SOAK).rpartition("::")
+        name = HELD_BY.get((event, activity, profile), SOAK).rpartition("::")
         lines.append(f"| {event} | {activity} | {profile} | {then} | {times} | {len(made)} | `{name[2]}` |")
     return lines
 
