@@ -17,25 +17,26 @@ from typing import Any
 HEAD = "| event | the robot | profile | is then | everything ready after [s]: median, worst | times | held by |"
 SOAK = "tests/unit/test_soak_rows.py::test_every_row_is_one_that_the_soak_knows_and_allows"
 _MANAGER = "tests/integration/test_motion_manager.py::"
-_MIDDLE = "test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
+_HELD = f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
+_MIDDLE = f"{_MANAGER}test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
 HELD_BY: Mapping[tuple[str, str, str], str] = {
     (
         "kill motion_manager",
         "standing",
         "sim",
-    ): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
+    ): _HELD,
     (
         "kill motion_manager",
         "frozen",
         "sim",
-    ): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
-    ("kill motion_manager", "walking", "sim"): f"{_MANAGER}{_MIDDLE}",
-    ("stop motion_manager 7 s", "walking", "sim"): f"{_MANAGER}{_MIDDLE}",
+    ): _HELD,
+    ("kill motion_manager", "walking", "sim"): _MIDDLE,
+    ("stop motion_manager 7 s", "walking", "sim"): _MIDDLE,
     (
         "kill motion_manager",
         "fallen",
         "sim",
-    ): f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it",
+    ): _HELD,
     ("kill comms_manager", "standing", "sim"): f"{_MANAGER}test_a_killed_comms_manager_is_a_fall_with_its_reason",
     ("kill comms_manager", "standing", "hardware"): "tests/integration/test_hardware.py::"
     "test_the_comms_manager_may_die_under_a_standing_robot_and_come_back",
