@@ -14,6 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from bifrost import cli
 from tests.conftest import ROBOTS
 from valor.common.instance import Instance, Settings
 from valor.common.resources import profiles, robots
@@ -21,7 +22,7 @@ from valor.common.world_names import WORLD_NAMES
 from valor.common.worlds import WORLDS
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valorctl import mode_names
-from valor.valorctl.app import app
+from valor.valorctl.app import MOUNTED, app
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
 
@@ -43,6 +44,10 @@ def imported(*arguments: str, environment: Mapping[str, str] = os.environ) -> se
 @pytest.mark.parametrize("option", ["--help", "--version"])
 def test_who_only_asks_waits_for_no_import(option: str) -> None:
     assert imported(option) & HEAVY == set()
+
+
+def test_what_is_told_of_bifrosts_own_verbs_is_what_they_say() -> None:
+    assert {group.info.name: group.info.help for group in (cli.topic, cli.service)} == MOUNTED
 
 
 def verbs(group: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -2,6 +2,9 @@
 
 from valor.common.errors import ValorError
 
+OFFSCREEN = ("libegl1", "libgl1-mesa-dri", "libopengl0")
+"""What Debian and Ubuntu call that by which pictures are drawn off screen."""
+
 
 class BagError(ValorError):
     """A bag is missing, broken, or lacks what is asked of it: names the file and the topic."""

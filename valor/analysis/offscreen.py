@@ -13,12 +13,12 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.errors import RenderingError
+from valor.analysis.errors import OFFSCREEN, RenderingError
 
 Image = npt.NDArray[np.uint8]
 
 _MAX_GEOMS = 4000
-_INSTALL = "no off-screen OpenGL here: install libegl1 and libgl1-mesa-dri (Debian, Ubuntu)"
+_INSTALL = f"no off-screen OpenGL here: install {' '.join(OFFSCREEN)} (Debian, Ubuntu)"
 
 
 class Offscreen:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from typing import Annotated, Any
@@ -23,8 +24,8 @@ from valor.valorctl.verbs import (
     tracing,
 )
 
-# Verbs of Bifrost itself; loaded when used.
-_MOUNTED = ("topic", "service")
+# Groups of Bifrost's own verbs: a list of all verbs names them, and waits for none of their imports.
+MOUNTED = {"topic": "See what is published on Bifrost.", "service": "See and call what is served on Bifrost."}
 
 
 def hoist_instance(arguments: list[str]) -> list[str]:
@@ -64,6 +65,29 @@ def _strict(command: Any) -> Any:
     return command
 
 
+class _Mounted(TyperGroup):
+    """A group that is loaded when one of its verbs is asked for."""
+
+    def __init__(self, name: str, instance: str | None) -> None:
+        super().__init__(name=name, help=MOUNTED[name], no_args_is_help=True, rich_markup_mode=None)
+        self._instance = instance
+
+    @functools.cached_property
+    def _group(self) -> Any:
+        from valor.valorctl.verbs.bifrost_verbs import command
+
+        return _strict(command(self.name or "", self._instance))
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(self._group.list_commands(ctx))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        return self._group.get_command(ctx, cmd_name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        return self._group.resolve_command(ctx, args)
+
+
 class _Verbs(TyperGroup):
     """Verbs that are loaded late, and a shared option that may stand anywhere."""
 
@@ -71,14 +95,11 @@ class _Verbs(TyperGroup):
         return super().parse_args(ctx, hoist_instance(args))
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return [*super().list_commands(ctx), *_MOUNTED]
+        return [*super().list_commands(ctx), *MOUNTED]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name in _MOUNTED:
-            from valor.valorctl.verbs.bifrost_verbs import command
-
-            # Asked for before the shared option's own callback runs.
-            return _strict(command(cmd_name, ctx.params.get("instance")))
+        if cmd_name in MOUNTED:
+            return _Mounted(cmd_name, ctx.params.get("instance"))  # before the shared option's own callback runs
         found = super().get_command(ctx, cmd_name)
         return found and _strict(found)
 

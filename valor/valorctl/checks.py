@@ -18,6 +18,7 @@ from typing import Literal
 import psutil
 
 import bifrost
+from valor.analysis.errors import OFFSCREEN
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.priority import granted, own_core
@@ -87,7 +88,7 @@ def _compiler(_: Instance) -> Finding:
 def _rendering(_: Instance) -> Finding:
     problem = _run(_RENDER, MUJOCO_GL="egl")
     if problem:
-        advice = "pictures need EGL: apt install libegl1 libgl1-mesa-dri"
+        advice = f"pictures need EGL: apt install {' '.join(OFFSCREEN)}"
         return Finding("rendering", "fail", f"MuJoCo cannot draw off screen: {problem}", advice)
     return Finding("rendering", "ok", "MuJoCo draws off screen by EGL")
 
