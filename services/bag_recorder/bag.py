@@ -14,6 +14,7 @@ from valor.bag_recorder.quick_writer import QuickWriter
 from valor.common.bag_files import LIBRARY, PROFILE
 
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
+SHARE = 250  # messages that are taken from a topic between two signs of life
 _LOCK_PATIENCE = 0.5  # [s]
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import struct
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import bifrost
-from valor.bag_recorder.bag import RecordedTopic, Sink
+from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
@@ -54,8 +54,18 @@ class BifrostTap:
         clock: WallClock,
         topics: Sequence[Topic] = TOPICS,
         selection: Selection = EVERYTHING,
+        alive: Callable[[], None] = lambda: None,
     ) -> None:
-        self._offset = clock.offset
+        """Subscribe.
+
+        Args:
+            node: to subscribe with.
+            clock: that tells the times of messages.
+            topics: those that there are.
+            selection: of them.
+            alive: called now and then while much is taken.
+        """
+        self._offset, self._alive = clock.offset, alive
         self.state: bifrost.Received[MotionState] | None = None
         self._taps = [
             _Tap(node, topic) for topic in topics if topic.record_every > 0 and PREFIX + topic.name in selection
@@ -74,25 +84,31 @@ class BifrostTap:
         Raises:
             OSError: the bag cannot be written.
         """
-        offset = self._offset
         for tap in self._taps:
-            waiting = tap.subscriber.drain(most=QUEUE)  # of each in turn, if one never ends
-            tap.received += len(waiting)
-            if waiting and tap.name == MOTION_STATE.name:
-                self.state = cast("bifrost.Received[MotionState]", waiting[-1])
-            if sink is None:
-                tap.unwritten += len(waiting)
+            for _ in range(QUEUE // SHARE):  # of each in turn, if one never ends
+                waiting = tap.subscriber.drain(most=SHARE)
+                self._take(tap, waiting, sink)
+                self._alive()
+                if len(waiting) < SHARE:
+                    break
+
+    def _take(self, tap: _Tap, waiting: list[bifrost.Received[Any]], sink: Sink | None) -> None:
+        tap.received += len(waiting)
+        if waiting and tap.name == MOTION_STATE.name:
+            self.state = cast("bifrost.Received[MotionState]", waiting[-1])
+        if sink is None:
+            tap.unwritten += len(waiting)
+            return
+        for received in waiting:
+            sequence = received.sequence
+            if tap.every > 1 and sequence % tap.every:
                 continue
-            for received in waiting:
-                sequence = received.sequence
-                if tap.every > 1 and sequence % tap.every:
-                    continue
-                stamp = received.stamp + offset
-                try:
-                    data = tap.encode(received, stamp)
-                except struct.error as error:
-                    tap.unfit += 1
-                    if tap.unfit == 1:
-                        _log.warning("%s: not recorded: %s", tap.recorded.name, error)
-                    continue
-                sink.write(tap.recorded, stamp, stamp, sequence, data)
+            stamp = received.stamp + self._offset
+            try:
+                data = tap.encode(received, stamp)
+            except struct.error as error:
+                tap.unfit += 1
+                if tap.unfit == 1:
+                    _log.warning("%s: not recorded: %s", tap.recorded.name, error)
+                continue
+            sink.write(tap.recorded, stamp, stamp, sequence, data)

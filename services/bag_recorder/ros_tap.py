@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import rclpy
@@ -17,7 +17,7 @@ import yaml
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from valor.bag_recorder.bag import RecordedTopic, Sink
+from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
 from valor.common.selection import Selection
@@ -64,8 +64,18 @@ def _unused(_: bytes) -> None:
 class RosTap:
     """Discovers topics, subscribes with a QoS that suits all their publishers, and moves what has come into the bag."""
 
-    def __init__(self, domain_id: int, clock: WallClock, selection: Selection) -> None:
-        self._clock, self._selection = clock, selection
+    def __init__(
+        self, domain_id: int, clock: WallClock, selection: Selection, alive: Callable[[], None] = lambda: None
+    ) -> None:
+        """Join the graph.
+
+        Args:
+            domain_id: of the graph.
+            clock: that tells the times of messages.
+            selection: of the topics.
+            alive: called now and then while much is found or taken.
+        """
+        self._clock, self._selection, self._alive = clock, selection, alive
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id)
         self._node = rclpy.create_node(
@@ -98,6 +108,7 @@ class RosTap:
         for i, (name, types) in enumerate(self._node.get_topic_names_and_types()):
             if name in self._refused or _hidden(name) or name not in self._selection:
                 continue
+            self._alive()
             count = self._node.count_publishers(name)
             known = self._taps.get(name)
             if known is not None and count == known.seen and i % ROUNDS != self._round:
@@ -132,12 +143,15 @@ class RosTap:
         """
         drift = self._clock.drift
         for tap in self._taps.values():
+            self._alive()
             handle, message_type = tap.subscription.handle, tap.message_type
             with handle:
                 while (taken := handle.take_message(message_type, True)) is not None:
                     data, info = taken
                     sequence = info["publication_sequence_number"] or 0
                     tap.received += 1
+                    if tap.received % SHARE == 0:
+                        self._alive()
                     tap.follow(sequence)
                     if sink is None:
                         tap.unwritten += 1

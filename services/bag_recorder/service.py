@@ -46,10 +46,10 @@ class BagRecorder:
         self._shelf = Shelf(context, self._clock, self._counts)
         context.statistics.state("starting", "subscribing")
         try:
-            self._bifrost = BifrostTap(context.node, self._clock, selection=selection)
+            self._bifrost = BifrostTap(context.node, self._clock, selection=selection, alive=self._statistics.idle)
         except UnknownTypeError as error:
             raise ConfigurationError(f"{error}: {REPAIR}") from None
-        self._ros = RosTap(context.settings.ros_domain_id, self._clock, selection)
+        self._ros = RosTap(context.settings.ros_domain_id, self._clock, selection, self._statistics.idle)
         self._snaps = context.node.server(SNAP.name, SnapRequest, SnapReply, self._snap)
         self._recording: Continuous | LastSeconds
         if settings.ring_seconds is not None:

@@ -18,7 +18,7 @@ from valor_msgs.msg import VelocityCommand as Twin
 
 from tests.conftest import RunningInstance, wait_until
 from valor.bag_recorder import clock
-from valor.bag_recorder.bag import Bag
+from valor.bag_recorder.bag import SHARE, Bag
 from valor.bag_recorder.bifrost_tap import BifrostTap
 from valor.bag_recorder.clock import WallClock, measure_offset
 from valor.bag_recorder.ros_tap import RosTap
@@ -40,6 +40,29 @@ def ros(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     yield node
     node.destroy_node()
     context.try_shutdown()
+
+
+def test_a_recorder_that_takes_much_gives_signs_of_life(instance: RunningInstance, home: Path) -> None:
+    signs = 0
+
+    def alive() -> None:
+        nonlocal signs
+        signs += 1
+
+    tap = BifrostTap(instance.node("recorder"), WallClock(), [VELOCITY], alive=alive)
+    publisher = instance.node("speaker").publisher(VELOCITY.name, VelocityCommand)
+    bag = Bag(home / "much.mcap")
+
+    def taken_at_once() -> int:
+        nonlocal signs
+        signs, before = 0, tap.counts[f"/bifrost/{VELOCITY.name}"][0]
+        for _ in range(500):
+            publisher.publish(VelocityCommand(5, 0.1, 0.2, 0.3))
+        tap.drain(bag)
+        return tap.counts[f"/bifrost/{VELOCITY.name}"][0] - before
+
+    wait_until(lambda: taken_at_once() > 3 * SHARE and signs > 3, 20.0, "much to take, and signs of life meanwhile")
+    bag.close()
 
 
 def test_stamps_of_bifrost_are_brought_to_the_wall_clock_of_the_start(instance: RunningInstance, home: Path) -> None:
