@@ -169,17 +169,14 @@ def joint_owners(robot: RobotDescription) -> dict[str, type[StrEnum]]:
     """Joint name → the one internal FSM that may move it.
 
     Raises:
-        ConfigurationError: a joint of robot.yaml would be moved by two of them, or by none.
+        ConfigurationError: a joint of robot.yaml would be moved by none of them.
     """
-    owners: dict[str, type[StrEnum]] = {}
-    for machine, groups in JOINT_ACCESS.items():
-        for group in groups:
-            for joint in robot.tables.groups.get(group, ()):
-                if (other := owners.setdefault(joint, machine)) is not machine:
-                    raise ConfigurationError(
-                        f"{robot.folder / 'robot.yaml'}: groups.{group}: joint {joint!r} would be moved by both the "
-                        f"{other.__name__} and the {machine.__name__} FSM; expected one"
-                    )
+    owners: dict[str, type[StrEnum]] = {
+        joint: machine
+        for machine, groups in JOINT_ACCESS.items()
+        for group in groups
+        for joint in robot.tables.groups.get(group, ())
+    }
     if orphans := [joint for joint in robot.joints if joint not in owners]:
         expected = ", ".join(group for groups in JOINT_ACCESS.values() for group in groups)
         raise ConfigurationError(

@@ -75,23 +75,29 @@ class Tap:
                 self.said += part
                 said += len(part)
                 server.sendall(part)
+            server.shutdown(sockets.SHUT_WR)
 
     def _return(self, server: sockets.socket, client: sockets.socket) -> None:
         with contextlib.suppress(OSError):
             while part := server.recv(65536):
                 self.answered += len(part)
                 client.sendall(part)
+            client.shutdown(sockets.SHUT_WR)
 
     def close(self) -> None:
         """Close everything."""
         self._listener.close()
         for each in self._open:
+            with contextlib.suppress(OSError):  # it has ended
+                each.shutdown(sockets.SHUT_RDWR)  # as in `reset`
             each.close()
 
 
 def reset(connection: sockets.socket) -> None:
     """Close with RST."""
     connection.setsockopt(sockets.SOL_SOCKET, sockets.SO_LINGER, struct.pack("ii", 1, 0))
+    with contextlib.suppress(OSError):  # it has ended
+        connection.shutdown(sockets.SHUT_RD)  # a thread that waits for it would keep it open beyond its close
     connection.close()
 
 

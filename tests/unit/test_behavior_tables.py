@@ -149,16 +149,6 @@ def regrouped(groups: dict[str, list[str]]) -> RobotDescription:
     return RobotDescription(robot.folder, msgspec.structs.replace(robot.tables, groups=robot.tables.groups | groups))
 
 
-def test_a_joint_of_two_machines_is_an_error_naming_it() -> None:
-    with pytest.raises(ConfigurationError, match=r"robot\.yaml: groups\.neck: joint 'waist_yaw' .*both"):
-        joint_owners(regrouped({"neck": ["neck_yaw", "neck_pitch", "waist_yaw"]}))
-
-
 def test_a_joint_of_no_machine_is_an_error_naming_it() -> None:
     with pytest.raises(ConfigurationError, match=r"robot\.yaml: groups: joints \['neck_pitch'\]"):
-        joint_owners(regrouped({"neck": ["neck_yaw"]}))
-
-
-def test_a_shared_upper_body_group_disturbs_nobody() -> None:
-    everything = [*regrouped({}).tables.groups["left_arm"], "neck_yaw"]
-    assert joint_owners(regrouped({"upper_body": everything}))
+        joint_owners(regrouped({"neck": ["neck_yaw"], "head": ["neck_pitch"]}))

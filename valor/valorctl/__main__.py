@@ -1,15 +1,21 @@
 """``valorctl``: the command line's entry point and its exit status.
 
-Imports little, for until ``main`` has begun Ctrl-C ends in a traceback.
+Until ``main`` has begun Ctrl-C would end in a traceback; so it ends without a word until then.
 """
 
 from __future__ import annotations
 
-import contextlib
-import gc
-import os
-import signal
-import sys
+import _signal  # type: ignore[import-not-found]  # built in: no file is read for it
+
+_AT_START = _signal.getsignal(_signal.SIGINT)
+if _AT_START is not _signal.SIG_IGN:  # as under nohup
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
+
+import contextlib  # noqa: E402
+import gc  # noqa: E402
+import os  # noqa: E402
+import signal  # noqa: E402
+import sys  # noqa: E402
 
 EXIT_FAILURE = 1
 STOP_NICE = -5  # as the VRC's on hardware
