@@ -191,8 +191,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     assert seen["robot"] == "escher"
     assert seen["behavior"]
     assert seen["clock"]["mode"] == "lockstep"
-    assert seen["clock"]["real_time_factor_since_start"] > 0  # in the last second alone a busy computer may do nothing
-    assert 0 < seen["clock"]["real_time_factor_since_start"] <= 1
+    assert 0 < seen["clock"]["real_time_factor_since_start"] <= 1  # in the last second alone there may be none
     for service in seen["services"].values():
         assert service["restarts"] == 0
         assert service["memory_mib"] > 10
