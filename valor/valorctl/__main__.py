@@ -49,6 +49,11 @@ def run() -> int:
         0 when the thing was done and verified, 1 when not, 128 and the signal's number when interrupted. A wrong
         command line exits with 2.
     """
+    # `import mujoco` looks for the platform that this names, and fails where it is absent. Only pictures need one, and
+    # they find their own.
+    if os.environ.get("MUJOCO_GL") != "osmesa":
+        os.environ["MUJOCO_GL"] = "disable"
+
     from valor.common.errors import ValorError
     from valor.valorctl.console import complain
     from valor.valorctl.interruption import InterruptedBySignalError

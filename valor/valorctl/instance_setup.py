@@ -118,27 +118,13 @@ def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
             raise Document.load(file).error(("ports", port), expected(port, known))
     if not {"comms_manager", "motion_manager"}.intersection(profile.processes):
         return
-    with _no_opengl():
-        from valor.common import robot_checks  # with MuJoCo: a fifth of a second
+    from valor.common import robot_checks  # with MuJoCo: a fifth of a second
 
     robot_checks.require_sound(robot)
     if profile.variant == "simulation":
         _check_period(robot, profile, file)
     elif not robot.tables.devices:
         raise robot.error(["devices"], "none; expected those of the robot, for a profile on hardware")
-
-
-@contextlib.contextmanager
-def _no_opengl() -> Iterator[None]:
-    """`import mujoco` looks for the OpenGL platform that the environment names, and fails where it is absent."""
-    named = os.environ.get("MUJOCO_GL")
-    os.environ["MUJOCO_GL"] = "disable"
-    try:
-        yield
-    finally:
-        del os.environ["MUJOCO_GL"]
-        if named is not None:
-            os.environ["MUJOCO_GL"] = named
 
 
 def _check_period(robot: RobotDescription, profile: Profile, file: Path) -> None:

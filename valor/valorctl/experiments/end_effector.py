@@ -8,7 +8,6 @@ go with the arm as far as the feet allow.
 from __future__ import annotations
 
 import csv
-import os
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ THESIS = {"whole_body": {"com_shift_limit": 0.0}}  # the center of mass stays, w
 
 def run(run: Run) -> None:
     """Move the right arm through predefined configurations: the thesis' way, with its arms, and our own way."""
-    os.environ.setdefault("MUJOCO_GL", "egl")
     from valor.analysis import end_effector_plots as plots
 
     folder = robot_variant.make(run.options.robot, THESIS, run.out / f"{Path(run.options.robot).name}_thesis")
