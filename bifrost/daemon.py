@@ -23,7 +23,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from bifrost import directory as d
 from bifrost.errors import ConfigurationError
-from bifrost.grants import DAEMON, MEMBER
+from bifrost.grants import DAEMON
 from bifrost.link import Link
 from bifrost.network import Network
 from bifrost.security import Gate, listening_socket, new_context
@@ -72,7 +72,7 @@ class Daemon:
     def __init__(self, network: Network) -> None:
         self._context = new_context()
         self._grants = network.grants
-        if network.owner != (DAEMON if self._grants.owners else MEMBER):
+        if network.owner != self._grants.daemon:
             raise ConfigurationError(f"the key of {DAEMON} is not given: expected BIFROST_OWNERS, the folder it is in")
         self._links: list[Link] = []
         self._gate = Gate(self._context, network)
@@ -180,7 +180,7 @@ class Daemon:
             if member is not None and self._may_speak_for(member, peer):
                 self._drop(message.incarnation, "left")
         elif isinstance(message, d.Follow):
-            if peer.owner != (DAEMON if self._grants.owners else MEMBER):
+            if peer.owner != self._grants.daemon:
                 self._refuse(f"{peer.owner} wants to follow as the daemon of {message.computer}: refused")
                 return
             self._followers[message.computer] = _Follower(sender, now)

@@ -96,6 +96,11 @@ class Grants:
         """Whose a public key is; a member's, if no owner's."""
         return next((name for name, owned in self.owners.items() if owned == key), MEMBER)
 
+    @property
+    def daemon(self) -> str:
+        """Who a daemon has to prove to be: its owner, or without owners a member."""
+        return DAEMON if self.owners else MEMBER
+
     def refusal(self, who: str, kind: str, topic: str, proven: str) -> str:
         """Why a node may not have a publisher or server; an empty text: it may.
 

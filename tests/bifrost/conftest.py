@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import bifrost
-from bifrost import Computer
+from tests.bifrost import network
 from tests.bifrost.network import BifrostNetwork
 from valor.valorctl.ros_domain import daemon_ports
 
@@ -48,7 +47,6 @@ def net(lasting_network: BifrostNetwork) -> Iterator[BifrostNetwork]:
 def two_computers(tmp_path: Path, ros_domain: int) -> Iterator[BifrostNetwork]:
     """Two computers, near and far, that are two addresses of the loopback interface; no daemon runs yet."""
     ports = daemon_ports(ros_domain)
-    port = bifrost.Network.create(tmp_path / "one.json", tmp_path / "keys", "0.0.0.0", ports).computer.port  # on either
-    made = BifrostNetwork(tmp_path, ports, [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)])
+    made = BifrostNetwork(tmp_path, ports, network.two_computers(tmp_path, ports))
     yield made
     made.close()

@@ -9,8 +9,10 @@ import signal
 import socket as sockets
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -63,6 +65,30 @@ def until(condition: Callable[[], T], what: str, timeout: float = 10.0) -> T:
         assert time.monotonic() < deadline, f"not within {timeout:g} s: {what}"
         time.sleep(0.01)
     return value
+
+
+@contextmanager
+def going_on(do: Callable[[], object]) -> Iterator[None]:
+    """Do it again and again, as quickly as it goes."""
+    stop = threading.Event()
+
+    def loop() -> None:
+        while not stop.is_set():
+            do()
+
+    thread = threading.Thread(target=loop)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def two_computers(folder: Path, ports: Sequence[int]) -> list[Computer]:
+    """Near and far: two addresses of the loopback interface, and a port that is free on either."""
+    port = bifrost.Network.create(folder / "one.json", folder / "keys", "0.0.0.0", ports).computer.port
+    return [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)]
 
 
 def ports(pid: int) -> list[int]:

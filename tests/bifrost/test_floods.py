@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 import bifrost
 from bifrost.limits import Limit, Meter
-from tests.bifrost.network import Answer, BifrostNetwork, Question, Sample, connected, sample, sequences, until
+from tests.bifrost.network import (
+    Answer,
+    BifrostNetwork,
+    Question,
+    Sample,
+    connected,
+    going_on,
+    sample,
+    sequences,
+    until,
+)
 from tests.conftest import PATIENCE, examples
 
 LIMIT = Limit(rate=500.0, burst=100)
-
-
-@contextmanager
-def going_on(do: Callable[[], object]) -> Iterator[None]:
-    """Do it again and again, as quickly as it goes."""
-    stop = threading.Event()
-
-    def loop() -> None:
-        while not stop.is_set():
-            do()
-
-    thread = threading.Thread(target=loop)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 def test_what_a_bounded_drain_leaves_is_told_again(net: BifrostNetwork) -> None:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,20 @@ import pytest
 import zmq
 
 import bifrost
-from bifrost import Computer, Grants, directory
+from bifrost import Grants, directory
 from bifrost.network import own_key_file
 from bifrost.security import connect
-from tests.bifrost.network import Answer, BifrostNetwork, Question, Sample, connected, sample, until
+from tests.bifrost.network import (
+    Answer,
+    BifrostNetwork,
+    Question,
+    Sample,
+    connected,
+    going_on,
+    sample,
+    two_computers,
+    until,
+)
 from valor.valorctl.ros_domain import daemon_ports
 
 OWNED, FREE, SERVICE = "arm/motor", "lab/free", "arm/ask"
@@ -30,8 +39,7 @@ SILENCE = 0.3  # in which a message would have come [s]
 def lasting(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[BifrostNetwork]:
     """Two computers, near and far; the arm owns a topic and a service, the recorder another topic."""
     folder, ports = tmp_path_factory.mktemp("granted"), daemon_ports(ros_domain)
-    port = bifrost.Network.create(folder / "one.json", folder / "keys", "0.0.0.0", ports).computer.port
-    computers = [Computer("near", "127.0.0.1", port), Computer("far", "127.0.0.2", port)]
+    computers = two_computers(folder, ports)
     publishers = {OWNED: ["arm", "spare"], "recorder/state": ["recorder"]}
     made = BifrostNetwork(folder, ports, computers, publishers, {SERVICE: ["arm"]})
     made.start_daemon("near")
@@ -176,20 +184,8 @@ def test_a_false_server_is_not_asked(net: BifrostNetwork) -> None:
     with pytest.raises(bifrost.NoServerError):
         client.call(Question("open", 0.0), timeout=SILENCE)
     true = net.node("arm", "near", "arm").server(SERVICE, Question, Answer, lambda question, origin: Answer("arm", 1))
-    closing = threading.Event()
-
-    def serve() -> None:
-        while not closing.is_set():
-            bifrost.wait([true], timeout=0.05)
-            true.serve()
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with going_on(lambda: bifrost.wait([true], timeout=0.05) and true.serve()):
         assert client.call(Question("open", 0.0), timeout=10.0).text == "arm"
-    finally:
-        closing.set()
-        thread.join()
     assert (false.serve(), asked) == (0, [])
 
 

@@ -20,6 +20,7 @@ from tests.bifrost.network import (
     Peer,
     Question,
     Sample,
+    going_on,
     until,
 )
 
@@ -33,20 +34,8 @@ class Number(bifrost.Message):
 @contextmanager
 def served(server: bifrost.Server[Question, Answer]) -> Iterator[None]:
     """Serve in a thread of its own."""
-    stop = threading.Event()
-
-    def serve() -> None:
-        while not stop.is_set():
-            if bifrost.wait([server], timeout=0.05):
-                server.serve()
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with going_on(lambda: bifrost.wait([server], timeout=0.05) and server.serve()):
         yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 def client_of(net: BifrostNetwork, name: str = "asker") -> bifrost.Client[Question, Answer]:

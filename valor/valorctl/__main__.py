@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import _signal  # type: ignore[import-not-found]  # built in: no file is read for it
 
-_AT_START = _signal.getsignal(_signal.SIGINT)
-if _AT_START is not _signal.SIG_IGN:  # as under nohup
+if _signal.getsignal(_signal.SIGINT) is not _signal.SIG_IGN:  # as under nohup
     _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 
 import contextlib  # noqa: E402
