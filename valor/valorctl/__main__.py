@@ -10,11 +10,11 @@ import _signal  # type: ignore[import-not-found]  # built in: no file is read fo
 if _signal.getsignal(_signal.SIGINT) is not _signal.SIG_IGN:  # as under nohup
     _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 
-import contextlib  # noqa: E402
-import gc  # noqa: E402
-import os  # noqa: E402
-import signal  # noqa: E402
-import sys  # noqa: E402
+import contextlib
+import gc
+import os
+import signal
+import sys
 
 EXIT_FAILURE = 1
 STOP_NICE = -5  # as the VRC's on hardware
