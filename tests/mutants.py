@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import ast
 import gc
+import hashlib
 import importlib.machinery
 import itertools
 import os
@@ -38,7 +39,8 @@ from cosmic_ray.mutating import mutate_code
 REPOSITORY = Path(__file__).resolve().parent.parent
 OUT = REPOSITORY / "build" / "mutants"
 OURS = ("valor", "bifrost", "tests")
-LONGEST = 10.0  # of all tests that a mutant is tried with, as they were without it [s of CPU]
+LONGEST = 10.0  # of all tests that a mutant is tried with, as they were without it, watched [s of CPU]
+PATIENCE = 5.0  # with what a test waits for in vain [s]
 EXTERNAL = "IN_MUTANT"  # set in the environment of a fork
 ARGUMENTS = ("-q", "-p", "no:cacheprovider", "--hypothesis-profile=mutants", "-o", "timeout=0")
 
@@ -125,20 +127,20 @@ def statement(source: str, line: int) -> tuple[range, bool]:
 
 
 class Recorder:
-    """While the map is made: notes how long each test takes that passes."""
+    """While the map is made: notes how long each test takes that passes, of the CPU's time and of the wall's."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+        self.seconds: dict[str, tuple[float, float]] = {}
         self._passed: set[str] = set()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Any:
-        began = time.process_time()
+        began, on_the_wall = time.process_time(), time.monotonic()
         try:
             return (yield)
         finally:
             if item.nodeid in self._passed:
-                self.seconds[item.nodeid] = time.process_time() - began
+                self.seconds[item.nodeid] = time.process_time() - began, time.monotonic() - on_the_wall
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """One that fails without any mutant says nothing of any."""
@@ -153,20 +155,27 @@ class Map:
         self._data = coverage.CoverageData(str(OUT / f"{name}.coverage"))
         self._data.read()
         self._files = {os.path.realpath(path): path for path in self._data.measured_files()}
-        rows = (row.split(" ", 1) for row in (OUT / f"{name}.seconds").read_text().splitlines())
-        self.seconds = {test: float(seconds) for seconds, test in rows}
+        rows = [row.split(" ", 2) for row in (OUT / f"{name}.seconds").read_text().splitlines()[1:]]
+        self.seconds = {test: float(seconds) for seconds, _, test in rows}
+        self.on_the_wall = {test: float(seconds) for _, seconds, test in rows}
 
     @staticmethod
     def make(name: str, folder: str, tests: Sequence[str]) -> None:
-        """Run all tests once, with coverage; in a process of its own, for coverage must come before all imports."""
+        """Run all tests once, with coverage; in a process of its own, for coverage must come before all imports.
+
+        Not where nothing has changed since it was made.
+        """
+        state, file = _state(folder), OUT / f"{name}.seconds"
+        if file.exists() and file.read_text().partition("\n")[0] == state:
+            return
         os.environ |= {"COVERAGE_FILE": str(OUT / f"{name}.coverage"), "COVERAGE_CORE": "ctrace"}
         recorder = Recorder()
         pytest.main(
             [*tests, "-q", "-p", "no:cacheprovider", f"--cov={folder}", "--cov-context=test", "--cov-report="],
             [recorder],
         )
-        rows = [f"{seconds:.4f} {test}" for test, seconds in recorder.seconds.items()]
-        (OUT / f"{name}.seconds").write_text("\n".join(rows))
+        rows = [f"{cpu:.4f} {wall:.4f} {test}" for test, (cpu, wall) in recorder.seconds.items()]
+        file.write_text("\n".join([state, *rows]))
 
     def tests(self, mutant: Mutant) -> list[str]:
         """Those that execute the mutant's statement, the quickest first, as many as fit into ``LONGEST``."""
@@ -185,6 +194,12 @@ class Map:
         ordered = sorted(names, key=self.seconds.__getitem__)
         totals = itertools.accumulate(self.seconds[test] for test in ordered)
         return [test for i, (test, total) in enumerate(zip(ordered, totals, strict=True)) if i == 0 or total <= LONGEST]
+
+
+def _state(folder: str) -> str:
+    """What the tests and what they test are now."""
+    files = sorted(file for root in (Path("tests"), Path(folder)) for file in root.rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def exchange(file: Path, old: str, new: str) -> bool:
@@ -258,7 +273,8 @@ class Runner:
                 _become_quiet(limit=int(4 * expected + 12))
                 status = _run(session, mutant, code, items)
             os._exit(status)
-        deadline = time.monotonic() + 20 * expected + 120  # of one that waits for ever
+        wall = sum(self._tests.on_the_wall[item.nodeid] for item in items)
+        deadline = time.monotonic() + 4 * wall + 30  # of one that waits for ever
         ended, status = 0, 0
         while not ended and time.monotonic() < deadline:
             ended, status = os.waitpid(pid, os.WNOHANG)
@@ -274,6 +290,10 @@ def _become_quiet(limit: int) -> None:
     """In a fork: a process group of its own, nothing printed, so much CPU and no more [s]."""
     os.setsid()
     os.environ[EXTERNAL] = "1"
+    patience = sys.modules["tests.conftest"].PATIENCE
+    for name, module in list(sys.modules.items()):
+        if name.startswith("tests.") and getattr(module, "PATIENCE", None) == patience:
+            module.PATIENCE = PATIENCE  # type: ignore[attr-defined]
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     for descriptor in (1, 2):
         os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)

@@ -1,0 +1,323 @@
+"""Which Motor the devices obey: each whole or not at all; and who has the joints once none comes any more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.bifrost.network import BifrostNetwork, until
+from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, N, Robot
+from valor.common.messages import REFLEX, JointMode, Motor
+from valor.common.topics import MOTOR
+from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
+from valor.comms_manager.latch import BehaviorLatch
+from valor.comms_manager.reflex import Reflex
+from valor.valorctl.ros_domain import daemon_ports
+
+FIRST = 1000  # state that the world begins with
+OLDEST = round(COMMAND_TIMEOUT * 1e9) // PERIOD  # periods ago, of a state that may be answered still
+VECTORS = ("position", "velocity", "effort", "stiffness", "damping")
+SOON = 0.02  # for what does not come [s]
+LONG = 10.0  # for what does [s]
+STANDING = Robot()
+LIMP = {"mode": np.full(N, JointMode.FORCE, dtype=np.uint8), "stiffness": np.zeros(N)}
+
+
+def motor(answers: int, **changes: Any) -> Motor:
+    """A sound one."""
+    made = Motor(
+        time=0, sequence=1, proprioceptor_sequence=answers, mode=np.full(N, JointMode.IMPEDANCE, dtype=np.uint8),
+        position=ROBOT.nominal_posture, velocity=np.zeros(N), effort=np.zeros(N), stiffness=np.ones(N),
+        damping=np.ones(N), behavior="stand", writer=5,
+    )  # fmt: skip
+    return msgspec.structs.replace(made, **changes)
+
+
+@pytest.fixture(scope="module")
+def net(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[BifrostNetwork]:
+    made = BifrostNetwork(tmp_path_factory.mktemp("network"), daemon_ports(ros_domain))
+    made.start_daemon()
+    yield made
+    made.close()
+
+
+class Devices:
+    """What the Comms Manager has of them: a state each period; and a Motion Manager that says what the test wants."""
+
+    def __init__(self, net: BifrostNetwork, reflex: Reflex, file: Path) -> None:
+        self._speaker, self._listener = net.node("motion_manager"), net.node("comms_manager")
+        self._publisher = self._speaker.publisher(MOTOR.name, Motor)
+        subscriber = self._listener.subscriber(MOTOR.name, Motor, queue=AT_ONCE)
+        self.latch = BehaviorLatch(file, 1)
+        self.commands = Commands(subscriber, ROBOT, self.latch, reflex)
+        self._robot = STANDING
+        self.sequence = FIRST - 1
+        self._subscriber = subscriber
+        until(self._connected, "they know each other")
+
+    def _connected(self) -> bool:
+        self._publisher.publish(motor(0, behavior=REFLEX))  # is passed over, if it comes later
+        return self._subscriber.receive(timeout=SOON) is not None
+
+    def measure(self, periods: int = 1, demand: str = "keep_balance", **changes: Any) -> None:
+        """So many periods later the devices say that the robot stands."""
+        self.sequence += periods
+        self._robot.time, self._robot.sequence = self.sequence * PERIOD, self.sequence
+        self.commands.measured(self._robot.proprioceptor(**changes), demand)
+
+    def say(self, **changes: Any) -> None:
+        """A Motor is published, which answers the newest state if not said otherwise."""
+        self._publisher.publish(motor(**{"answers": self.sequence} | changes))
+
+    def hear(self, **changes: Any) -> bool:
+        """The same, and it is taken in; whether it is in force now."""
+        commands = self.commands
+        admitted, before = commands.admitted, commands.admitted + commands.refused
+        self.say(**changes)
+        until(lambda: commands.take() or commands.admitted + commands.refused > before, "a Motor is considered")
+        assert commands.admitted + commands.refused == before + 1
+        return commands.admitted > admitted
+
+    def leave(self) -> None:
+        """The Motion Manager is gone, and that is known."""
+        self._speaker.close()
+        until(lambda: self.commands.take() or not self._subscriber.publishers, "nobody publishes Motor")
+
+    def close(self) -> None:
+        """End it all."""
+        self._speaker.close()
+        self._listener.close()
+        self.latch.close()
+
+
+@pytest.fixture(scope="module")
+def reflex() -> Reflex:
+    return Reflex(ROBOT)
+
+
+@pytest.fixture
+def devices(net: BifrostNetwork, reflex: Reflex, tmp_path: Path) -> Iterator[Devices]:
+    reflex.active = False
+    made = Devices(net, reflex, tmp_path / "behavior.json")
+    made.measure()
+    yield made
+    made.close()
+
+
+def broken(name: str, value: float) -> dict[str, Any]:
+    vector = getattr(motor(FIRST), name).copy()
+    vector[N // 2] = value
+    return {name: vector}
+
+
+UNSOUND = {
+    **{f"{name} is short": ({name: getattr(motor(0), name)[1:]}, "wrong length") for name in ("mode", *VECTORS)},
+    **{f"{name} is long": ({name: np.ones(N + 1)}, "wrong length") for name in VECTORS},
+    **{f"{name} is {x}": (broken(name, x), "not finite") for name in VECTORS for x in (np.nan, np.inf, -np.inf)},
+    "mode": (broken("mode", max(JointMode) + 1), "unknown mode"),
+    "stiffness is negative": (broken("stiffness", -1e-9), "negative gain"),
+    "damping is negative": (broken("damping", -1e-9), "negative gain"),
+    "of no state yet": ({"answers": FIRST + 1}, "answers no state of this world"),
+    "of the world before": ({"answers": FIRST - 1}, "answers no state of this world"),
+    "of an older Motion Manager": ({"writer": 4}, "of an older Motion Manager"),
+}
+
+
+def test_an_unsound_motor_is_refused_whole_and_each_kind_is_told_once(
+    devices: Devices, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert devices.hear(behavior="walk")
+    commands, obeyed = devices.commands, devices.commands.motor
+    for refused, (name, (changes, _)) in enumerate(UNSOUND.items(), 1):
+        assert not devices.hear(**({"behavior": "freeze"} | changes)), name
+        assert (commands.motor, commands.admitted, commands.refused) == (obeyed, 1, refused), name
+        assert devices.latch.behavior == "walk"
+    told = [record.getMessage() for record in caplog.records]
+    kinds = {reason for _, reason in UNSOUND.values()}
+    assert all(sum(f"Motor from motion_manager refused: {kind}" in line for line in told) == 1 for kind in kinds)
+    assert len(told) == len(kinds)
+
+
+def test_what_keeps_all_rules_to_the_edge_is_obeyed(devices: Devices) -> None:
+    modes = np.full(N, JointMode.OFF, dtype=np.uint8)
+    modes[:4] = list(JointMode)
+    assert devices.hear(mode=modes, stiffness=np.zeros(N), damping=np.zeros(N))
+    assert devices.hear(), "twice an answer to the same state"
+    assert devices.hear(writer=6), "a younger Motion Manager"
+    assert not devices.hear(writer=5)
+    assert devices.commands.answered
+    assert devices.latch.behavior == "stand"
+
+
+def test_an_answer_may_be_so_old_and_never_older_than_the_one_before(devices: Devices) -> None:
+    commands = devices.commands
+    devices.measure(OLDEST + 5)
+    assert devices.hear(answers=FIRST), "the first may be of any age: the world has waited for it"
+    assert commands.age == OLDEST + 5
+    assert not commands.answered
+    assert not devices.hear(answers=devices.sequence - OLDEST - 1)
+    assert devices.hear(answers=devices.sequence - OLDEST)
+    assert not devices.hear(answers=devices.sequence - OLDEST - 1), "older than the one in force"
+    assert devices.hear()
+    assert commands.age == 0
+    assert commands.answered
+
+
+def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
+    commands = devices.commands
+    devices.measure(2 * OLDEST)
+    assert not any(commands.wait(SOON) for _ in range(2 * MISSES_TO_SILENCE))
+    devices.leave()
+    devices.measure(2 * ABSENCE)
+    assert not commands.wait(SOON)
+    assert (commands.abandoned, commands.silent, commands.answered, commands.waits_timed_out) == (False,) * 3 + (0,)
+
+
+@pytest.mark.parametrize(("said", "limp"), [({}, False), (LIMP, True)], ids=["led", "limp"])
+def test_who_says_nothing_for_a_time_is_silent_until_the_next_word(
+    devices: Devices, said: dict[str, Any], limp: bool
+) -> None:
+    commands = devices.commands
+    assert devices.hear(**said)
+    devices.measure(OLDEST)
+    assert not commands.silent
+    devices.measure()
+    assert (commands.abandoned, commands.silent, commands.limp) == (True, True, limp)
+    assert not devices.hear(stiffness=-np.ones(N))
+    assert commands.silent
+    assert devices.hear()
+    assert (commands.abandoned, commands.silent, commands.limp) == (False, False, False)
+    devices.measure(OLDEST)
+    assert not commands.silent, "the time counts from the last that was obeyed"
+    devices.measure()
+    assert commands.silent
+
+
+def test_who_is_gone_is_not_waited_for(devices: Devices) -> None:
+    commands = devices.commands
+    assert devices.hear()
+    devices.leave()
+    devices.measure(ABSENCE)
+    assert not commands.silent, "it may have been the last of many, and more wait"
+    devices.measure()
+    assert commands.silent
+
+
+def test_a_wait_for_one_who_is_gone_ends_at_once(devices: Devices) -> None:
+    commands = devices.commands
+    assert devices.hear()
+    devices.leave()
+    devices.measure()
+    assert not commands.wait(3600.0)
+    assert commands.silent
+    assert commands.waits_timed_out == 0
+
+
+def test_a_wait_ends_with_the_answer_and_misses_in_a_row_are_silence(devices: Devices) -> None:
+    commands = devices.commands
+    devices.say()
+    assert commands.wait(LONG)
+    for misses in range(1, MISSES_TO_SILENCE):
+        devices.measure()
+        assert not commands.wait(SOON)
+        assert commands.waits_timed_out == misses
+    assert commands.wait(SOON, age=MISSES_TO_SILENCE - 1), "one that old will do"
+    for _ in range(MISSES_TO_SILENCE - 1):
+        assert not commands.wait(SOON)
+    assert not commands.silent, "not in a row"
+    assert not commands.wait(SOON)
+    assert commands.silent
+    devices.say()
+    assert commands.wait(LONG)
+    assert not commands.wait(SOON, age=-1)
+    assert not commands.silent
+
+
+def test_who_listens_takes_what_is_there_and_counts_no_miss(devices: Devices) -> None:
+    commands = devices.commands
+    devices.say()
+    commands.listen(LONG)
+    assert commands.admitted == 1
+    for _ in range(2 * MISSES_TO_SILENCE):
+        commands.listen(SOON)
+    assert (commands.admitted, commands.waits_timed_out, commands.silent) == (1, 0, False)
+    for _ in range(3):
+        devices.say()
+    until(lambda: commands.listen(0.0) or commands.admitted == 4, "all are taken, without waiting")
+    assert commands.drops == 0
+
+
+def test_a_motor_of_the_reflex_is_nobodys_word(devices: Devices) -> None:
+    devices.say(behavior=REFLEX)
+    assert devices.hear()
+    assert (devices.commands.admitted, devices.commands.refused) == (1, 0)
+
+
+def test_a_robot_left_walking_is_led_until_it_stands(devices: Devices, caplog: pytest.LogCaptureFixture) -> None:
+    commands = devices.commands
+    assert devices.hear(behavior="walk")
+    devices.measure(OLDEST + 1)
+    assert commands.abandoned
+    assert not commands.silent
+    assert commands.answered
+    admitted = commands.admitted
+    devices.say(behavior="stand")  # by one that should stand aside
+    while not commands.silent:
+        assert commands.motor is not None
+        assert commands.motor.behavior == REFLEX
+        devices.measure()
+        admitted += 1
+        assert (commands.admitted, commands.answered) == (admitted, True)
+    assert not commands.limp
+    assert commands.refused == 0
+    assert devices.latch.behavior == "walk"
+    assert "the robot, left in walk, is brought to stand" in caplog.text
+    assert "the balance reflex has ended: it stands" in caplog.text
+    assert "the balance reflex has ended: the joints are held" in caplog.text
+    devices.measure()
+    assert commands.admitted == admitted, "nor is anything made any more"
+    assert devices.hear()
+    assert not commands.silent
+
+
+def test_what_the_reflex_lets_go_stays_limp_and_is_kept(devices: Devices) -> None:
+    commands = devices.commands
+    assert devices.hear(behavior="walk")
+    devices.measure(OLDEST + 1)
+    devices.measure(demand="limp")
+    assert (commands.silent, commands.limp) == (True, True)
+    assert commands.motor is not None
+    assert commands.motor.behavior == devices.latch.behavior == "fall"
+
+
+def test_one_who_lets_the_robot_go_is_heard_while_the_reflex_leads(
+    devices: Devices, caplog: pytest.LogCaptureFixture
+) -> None:
+    commands = devices.commands
+    assert devices.hear(behavior="walk")
+    devices.measure(OLDEST + 1)
+    assert not commands.silent
+    assert devices.hear(behavior="fall", **LIMP)
+    assert "Motor from motion_manager lets the robot go" in caplog.text
+    devices.measure()
+    assert commands.motor is not None
+    assert commands.motor.behavior == devices.latch.behavior == "fall"
+    assert (commands.abandoned, commands.silent) == (False, False)
+
+
+def test_an_error_of_the_reflex_leaves_the_joints_held(
+    devices: Devices, reflex: Reflex, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    commands = devices.commands
+    assert devices.hear(behavior="walk")
+    devices.measure(OLDEST + 1)
+    led = commands.motor
+    monkeypatch.setattr(reflex._balance, "_controller", None)
+    devices.measure()
+    assert "error in the balance reflex" in caplog.text
+    assert (commands.silent, commands.limp, commands.motor) == (True, False, led)
