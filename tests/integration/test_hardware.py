@@ -7,12 +7,14 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
 from valor.common.messages import FaultReply, FaultRequest, GroundTruth, Proprioceptor
 from valor.common.processes import EXIT_CONFIGURATION
+from valor.common.robot import RobotDescription
 from valor.common.topics import FAULT, GROUND_TRUTH, PROPRIOCEPTOR
 
 UPRIGHT = 0.7  # of the pelvis: lower, it has fallen [m]
@@ -174,6 +176,22 @@ def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing
     assert standing.behavior == "freeze", standing.state.reason
     assert standing.state.reason.startswith("no Proprioceptor for") and "it stands" in standing.state.reason
     assert standing.height() > UPRIGHT
+    standing.go("stand")
+
+
+def test_the_motion_manager_may_die_under_a_standing_robot_and_no_joint_moves(standing: Bench) -> None:
+    """Nor a finger's, whose servo is so soft that a noisy measurement of its effort would move it."""
+    robot = RobotDescription.load(ROBOTS / "escher")
+    positions = standing.running.node("watcher").subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=20_000)
+    first = positions.receive(PATIENCE)
+    assert first is not None
+    standing.running.kill("motion_manager")
+    standing.running.start("motion_manager")
+    standing.running.wait_ready("motion_manager", PATIENCE)
+    wait_until(lambda: standing.behavior == "freeze", PATIENCE, "the next one holds what it finds")
+    way = np.abs([each.message.joint_position - first.message.joint_position for each in positions.drain()])
+    moved = np.where(np.isfinite(robot.upper), way.max(axis=0), 0.0)  # but for the lidar, which turns for ever
+    assert moved.max() < 0.05, robot.joints[int(moved.argmax())]
     standing.go("stand")
 
 

@@ -19,11 +19,10 @@ from collections import Counter
 import numpy as np
 
 from valor.common.errors import ConfigurationError
-from valor.common.messages import DeviceStatus, JointMode, Motor, Proprioceptor
+from valor.common.messages import DeviceStatus, Motor, Proprioceptor
 from valor.common.pacing import Pacer, Wall
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
-from valor.common.robot import FloatVector
 from valor.common.service import Context
 from valor.common.topics import DEVICES
 from valor.common.trace import Stage
@@ -43,6 +42,7 @@ from valor.comms_manager.hardware.device import (
 )
 from valor.comms_manager.hardware.faults import DeviceWatch
 from valor.comms_manager.hardware.force_torque import ForceTorque
+from valor.comms_manager.hardware.holding import holding
 from valor.comms_manager.hardware.kinds import make
 from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.comms_manager.hardware.series_elastic import SeriesElastic
@@ -89,7 +89,7 @@ class Hardware(Backend):
         self._pacer = Pacer(1.0, Wall())
         self._admitted = 0
         self._motor_sequence = 0
-        self._held: tuple[FloatVector, FloatVector] | None = None  # positions and efforts of joints that are held
+        self._held: Motor | None = None  # while nobody leads the joints
         self._lost = False  # the leg controllers' clock is: a period is a period
         self._reference = next((device for device in self._devices if isinstance(device, SeriesElastic)), None)
         self._begin()
@@ -219,15 +219,10 @@ class Hardware(Backend):
     def _hand_out(self, commands: Commands) -> None:
         if commands.silent and commands.limp and commands.motor is not None:
             self._send(commands.motor)  # again and again: the motor controllers would hold a joint that hears nothing
-        elif commands.silent:
+        elif commands.silent and commands.motor is not None:
             if self._held is None:
-                # With the effort that carried them: without it the joints would sag until their servos carry as much.
-                self._held = self._position.copy(), np.nan_to_num(self._effort)
-            held, effort = self._held
-            zero = np.zeros(held.size)
-            mode = np.full(held.size, JointMode.POSITION, dtype=np.uint8)
-            motor = Motor(0, self._motor_sequence, 0, mode, held, zero, effort, zero, zero, behavior="", writer=0)
-            self._send(motor)
+                self._held = holding(commands.motor, self._position, self._effort)
+            self._send(self._held)
         elif commands.admitted != self._admitted and commands.motor is not None:
             self._held = None
             self._send(commands.motor)

@@ -1,0 +1,51 @@
+"""What devices are told when Motor falls silent: nothing that would move a joint."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.conftest import examples
+from valor.common.messages import JointMode, Motor
+from valor.comms_manager.hardware.holding import holding
+
+N = 4
+SERVO, SPRING = 1, 2  # a joint in each of the two ways
+numbers = st.lists(st.floats(-50.0, 50.0), min_size=N, max_size=N).map(np.array)
+
+
+def last(position: np.ndarray, effort: np.ndarray) -> Motor:
+    """A joint is off, one on its own servo, one by impedance, one by force alone; all of them move."""
+    mode = np.array([JointMode.OFF, JointMode.POSITION, JointMode.IMPEDANCE, JointMode.FORCE], dtype=np.uint8)
+    ones = np.ones(N)
+    return Motor(7, 8, 9, mode, position, ones, effort, 100.0 * ones, ones, behavior="stand", writer=3)
+
+
+@examples(50)
+@given(wanted=numbers, measured=numbers, asked=numbers, felt=numbers)
+def test_servos_go_on_as_they_were_and_the_others_hold_what_they_carry_where_they_are(
+    wanted: np.ndarray, measured: np.ndarray, asked: np.ndarray, felt: np.ndarray
+) -> None:
+    motor = last(wanted, asked)
+    held = holding(motor, measured, felt)
+    assert (held.mode == JointMode.POSITION).all()
+    assert not (held.velocity.any() or held.stiffness.any() or held.damping.any())
+    assert held.position[SERVO] == wanted[SERVO] and held.effort[SERVO] == asked[SERVO]
+    others = np.arange(N) != SERVO
+    assert (held.position[others] == measured[others]).all()
+    assert (held.effort[others] == felt[others]).all()
+    assert (held.sequence, held.behavior) == (motor.sequence, motor.behavior)
+
+
+def test_what_nobody_measures_is_no_effort() -> None:
+    held = holding(last(np.zeros(N), np.zeros(N)), np.zeros(N), np.full(N, np.nan))
+    assert not held.effort.any()
+
+
+def test_what_is_held_is_a_copy_of_what_was_measured() -> None:
+    position, effort = np.zeros(N), np.zeros(N)
+    held = holding(last(position, effort), position, effort)
+    position += 1.0
+    effort += 1.0
+    assert not (held.position.any() or held.effort.any())
