@@ -19,6 +19,7 @@ from typing import Annotated, Any
 
 import typer
 
+from bifrost import completion
 from bifrost.directory import Count
 from bifrost.errors import Error, NoServerError, TimeoutError
 from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
@@ -51,7 +52,14 @@ Timeout = Annotated[float, typer.Option(help="How long to wait for the first mes
 Duration = Annotated[
     float | None, typer.Option("--for", help="Measure this long [s]; else until interrupted.", min=0.1)
 ]
-TopicName = Annotated[str, typer.Argument(metavar="TOPIC", help="Its name, as `topic list` shows it.")]
+TopicName = Annotated[
+    str,
+    typer.Argument(metavar="TOPIC", help="Its name, as `topic list` shows it.", autocompletion=completion.topics),
+]
+ServiceName = Annotated[
+    str,
+    typer.Argument(metavar="SERVICE", help="Its name, as `service list` shows it.", autocompletion=completion.services),
+]
 
 
 @topic.command("list")
@@ -257,7 +265,7 @@ def service_list(as_json: Json = False) -> None:
 
 @service.command("call")
 def service_call(
-    name: Annotated[str, typer.Argument(metavar="SERVICE", help="Its name, as `service list` shows it.")],
+    name: ServiceName,
     request: Annotated[str, typer.Argument(help="The request's fields as a JSON object.")] = "{}",
     as_json: Json = False,
     timeout: Annotated[float, typer.Option(help="For a server and its reply [s].", min=0.0)] = 5.0,

@@ -8,9 +8,8 @@ from functools import cache
 from typing import Any, Generic
 
 import msgspec
-import numpy as np
 
-from bifrost.messages import ENCODER, WIRE_TYPES, M, Message, decoder
+from bifrost.messages import M, Message
 from bifrost.schema import array_kind, field_types, list_type, optional_type, schema_of
 
 _Check = Callable[[Any, str], None]
@@ -37,9 +36,10 @@ class Codec(Generic[M]):
         self.schema = schema_of(message_type)
         self.hash = self.schema.digest()
         _put_on_wire(message_type)
-        self.decode: Callable[[bytes | memoryview], M] = decoder(message_type).decode
+        self._encoder, decoder = _coders(message_type, self.schema.has_arrays)
+        self.decode: Callable[[bytes | memoryview], M] = decoder.decode
         self._check = _message_check(message_type)
-        self.encode_into = _encode_into(self._check, self.name)
+        self.encode_into = _encode_into(self._encoder, self._check, self.name)
 
     def encode(self, message: M) -> bytes:
         """The message as bytes.
@@ -49,11 +49,21 @@ class Codec(Generic[M]):
         """
         if self._check is not None:
             self._check(message, self.name)
-        return ENCODER.encode(message)
+        return self._encoder.encode(message)
 
 
-def _encode_into(check: _Check | None, name: str) -> Callable[[Any, bytearray, int], None]:
-    encode = ENCODER.encode_into
+def _coders(message_type: type[M], arrays: bool) -> tuple[msgspec.msgpack.Encoder, msgspec.msgpack.Decoder[M]]:
+    if not arrays:
+        return msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(message_type)
+    from bifrost.arrays import ENCODER, decoder
+
+    return ENCODER, decoder(message_type)
+
+
+def _encode_into(
+    encoder: msgspec.msgpack.Encoder, check: _Check | None, name: str
+) -> Callable[[Any, bytearray, int], None]:
+    encode = encoder.encode_into
     if check is None:
         return encode
 
@@ -87,6 +97,8 @@ def _on_wire(annotation: Any) -> Any:
     if annotation is int:
         return _Integer
     if (kind := array_kind(annotation)) is not None:
+        from bifrost.arrays import WIRE_TYPES
+
         return WIRE_TYPES[kind]
     if isinstance(annotation, type) and issubclass(annotation, Message):
         _put_on_wire(annotation)
@@ -103,12 +115,14 @@ def _on_wire(annotation: Any) -> Any:
 
 def _message_check(message_type: type[Message]) -> _Check | None:
     checks: list[tuple[str, _Check]] = []
-    arrays: list[tuple[str, np.dtype[Any], _Check]] = []
+    arrays: list[tuple[str, type[Any], object, _Check]] = []  # field, class, dtype
     integers: list[str] = []
     for field, annotation in field_types(message_type).items():
         check = _field_check(annotation)
         if check and (kind := array_kind(annotation)) is not None:
-            arrays.append((field, kind.value, check))
+            from bifrost.arrays import DTYPES, ndarray
+
+            arrays.append((field, ndarray, DTYPES[kind], check))
         elif annotation is int:
             integers.append(field)
         elif check:
@@ -117,10 +131,10 @@ def _message_check(message_type: type[Message]) -> _Check | None:
         return None
 
     def check_message(message: Any, name: str) -> None:
-        for field, dtype, complain in arrays:
+        for field, array, dtype, complain in arrays:
             value = getattr(message, field)
             # The common case in three comparisons: this runs for every message of a control loop.
-            if type(value) is not np.ndarray or value.dtype is not dtype or value.ndim != 1:
+            if type(value) is not array or value.dtype is not dtype or value.ndim != 1:
                 complain(value, f"{name}.{field}")
         for field in integers:
             value = getattr(message, field)
@@ -138,7 +152,9 @@ def _field_check(annotation: Any) -> _Check | None:
     if annotation is int:
         return _check_integer
     if (kind := array_kind(annotation)) is not None:
-        return _array_check(kind.value)
+        from bifrost.arrays import array_check
+
+        return array_check(kind)
     if (inner := list_type(annotation)) is not None:
         return _list_check(_field_check(inner))
     if (inner := optional_type(annotation)) is not None:
@@ -149,16 +165,6 @@ def _field_check(annotation: Any) -> _Check | None:
 def _check_integer(value: Any, name: str) -> None:
     if not isinstance(value, int) or not _LOWEST <= value <= _HIGHEST:
         raise TypeError(f"{name}: expected an integer of 64 bits, got {value!r}")
-
-
-def _array_check(dtype: np.dtype[Any]) -> _Check:
-    def check_array(value: Any, name: str) -> None:
-        if isinstance(value, np.ndarray) and value.dtype == dtype and value.ndim == 1:
-            return
-        what = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-        raise TypeError(f"{name}: expected a one-dimensional {dtype.name} array, got {what}")
-
-    return check_array
 
 
 def _list_check(check: _Check | None) -> _Check | None:

@@ -9,24 +9,28 @@ aliases are equal when a program runs differs from one NumPy to the next.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 
 
 class ArrayKind(Enum):
-    """What the elements of an array field are; marks the field's annotation."""
+    """What the elements of an array field are, by NumPy's name of them; marks the field's annotation."""
 
-    FLOAT64 = np.dtype(np.float64)
-    UINT8 = np.dtype(np.uint8)
+    FLOAT64 = "float64"
+    UINT8 = "uint8"
 
 
-Float64Array: TypeAlias = Annotated[npt.NDArray[np.float64], ArrayKind.FLOAT64]
-Uint8Array: TypeAlias = Annotated[npt.NDArray[np.uint8], ArrayKind.UINT8]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Float64Array: TypeAlias = Annotated[npt.NDArray[np.float64], ArrayKind.FLOAT64]
+    Uint8Array: TypeAlias = Annotated[npt.NDArray[np.uint8], ArrayKind.UINT8]
+else:  # the mark says it all, and NumPy is imported by whom arrays concern
+    Float64Array = Annotated[Any, ArrayKind.FLOAT64]
+    Uint8Array = Annotated[Any, ArrayKind.UINT8]
 
 
 class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False, eq=False):
@@ -39,6 +43,8 @@ class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=Fa
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
+        from bifrost.arrays import ENCODER
+
         return ENCODER.encode(self) == ENCODER.encode(other)
 
     def __ne__(self, other: object) -> bool:  # Struct has one of its own, which knows nothing of arrays
@@ -48,23 +54,3 @@ class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=Fa
 
 
 M = TypeVar("M", bound=Message)
-
-# What msgspec does not know is asked for its bytes, in C order, and raises TypeError if it is no array.
-ENCODER = msgspec.msgpack.Encoder(enc_hook=np.ndarray.tobytes)
-
-
-# An array field as its decoder is shown it: msgspec drops markers, but hands on a type's arguments.
-WIRE_TYPES: dict[ArrayKind, Any] = {kind: np.ndarray[Any, kind.value] for kind in ArrayKind}  # type: ignore[name-defined]
-
-
-def _array(wire_type: Any, value: Any, _view: Callable[..., Any] = np.frombuffer) -> Any:
-    return _view(value, wire_type.__args__[1])  # raises TypeError on all but bytes
-
-
-def decoder(message_type: type[M]) -> msgspec.msgpack.Decoder[M]:
-    """A decoder that accepts what is exactly of this type, and raises ``ValueError`` or its kin on all else.
-
-    Args:
-        message_type: what it decodes; its array fields are of ``WIRE_TYPES``.
-    """
-    return msgspec.msgpack.Decoder(message_type, dec_hook=_array)

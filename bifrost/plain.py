@@ -6,10 +6,8 @@ import math
 import typing
 from typing import Any
 
-import numpy as np
-
 from bifrost.errors import SchemaError
-from bifrost.messages import M, Message
+from bifrost.messages import ArrayKind, M, Message
 from bifrost.schema import array_kind, field_types, list_type, optional_type
 
 
@@ -17,15 +15,15 @@ def to_builtins(value: Any) -> Any:
     """A message as dict: arrays as lists, bytes as hexadecimal text, numbers that are not finite as None."""
     if isinstance(value, Message):
         return {name: to_builtins(getattr(value, name)) for name in value.__struct_fields__}
-    if isinstance(value, np.ndarray):
-        return to_builtins(value.tolist())
     if isinstance(value, list):
         return [to_builtins(element) for element in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, bytes):
         return value.hex()
-    return value
+    if value is None or isinstance(value, (int, str)):
+        return value
+    return to_builtins(value.tolist())
 
 
 def from_builtins(message_type: type[M], value: object) -> M:
@@ -53,7 +51,7 @@ def _message(message_type: type[Message], value: object, where: str) -> Message:
 
 def _field(annotation: Any, value: Any, where: str) -> Any:
     if (kind := array_kind(annotation)) is not None:
-        return _array(value, kind.value, where)
+        return _array(value, kind, where)
     if (inner := list_type(annotation)) is not None:
         if not isinstance(value, list):
             raise SchemaError(f"{where}: expected a list, got {value!r}")
@@ -65,13 +63,15 @@ def _field(annotation: Any, value: Any, where: str) -> Any:
     return _scalar(annotation, value, where)
 
 
-def _array(value: Any, dtype: np.dtype[Any], where: str) -> Any:
+def _array(value: Any, kind: ArrayKind, where: str) -> Any:
+    import numpy as np  # takes long, and not every message has arrays
+
     try:
-        array = np.array([math.nan if element is None else element for element in value], dtype)
+        array = np.array([math.nan if element is None else element for element in value], kind.value)
     except (TypeError, ValueError, OverflowError):
         array = np.zeros((0, 0))
     if array.ndim != 1:
-        raise SchemaError(f"{where}: expected a list of {dtype.name} numbers, got {value!r}")
+        raise SchemaError(f"{where}: expected a list of {kind.value} numbers, got {value!r}")
     return array
 
 

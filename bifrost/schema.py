@@ -39,6 +39,11 @@ class Schema(msgspec.Struct, frozen=True):
     name: str
     types: dict[str, list[list[str]]]
 
+    @property
+    def has_arrays(self) -> bool:
+        """Whether a field of it, or of a message that it contains, is an array, or a list of them."""
+        return any("[]" in kind for fields in self.types.values() for _, kind in fields)
+
     def digest(self) -> bytes:
         """Eight bytes that differ when anything above does: BLAKE2b of the schema as canonical JSON."""
         content = [self.name, self.types]
@@ -108,7 +113,7 @@ def _describe_type(
     annotation: Any, described: dict[str, list[list[str]]], classes: dict[str, type[Message]], where: str
 ) -> str:
     if (kind := array_kind(annotation)) is not None:
-        return f"{kind.value.name}[]"
+        return f"{kind.value}[]"
     for text, plain in _PLAIN.items():
         if annotation is plain:
             return text

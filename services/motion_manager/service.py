@@ -14,6 +14,7 @@ import bifrost
 from valor.common.floods import COMMANDS, REQUESTS, STREAM
 from valor.common.messages import (
     BalanceWeights,
+    BehaviorChange,
     BehaviorReply,
     BehaviorRequest,
     DeviceStatus,
@@ -86,7 +87,7 @@ class MotionManagerService:
         self._manager = MotionManager(context.robot, controller_model(context.robot))
         self._motor = node.publisher(MOTOR.name, Motor)
         self._motion_state = node.publisher(MOTION_STATE.name, MotionState)
-        self._behavior_change = node.publisher(BEHAVIOR_CHANGE.name, MotionState, latched=True)
+        self._behavior_change = node.publisher(BEHAVIOR_CHANGE.name, BehaviorChange, latched=True)
         self._rejection = node.publisher(REJECTION.name, Rejection)
         self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
         self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE, limit=COMMANDS)
@@ -122,7 +123,7 @@ class MotionManagerService:
         self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, limit=STREAM)
         self._inputs: bifrost.Poller[Input] = bifrost.Poller((self._proprioceptor, *self._commands, *self._requests))
         self._commands_end = 0.0  # when no more of them are begun with [s]
-        self._changes = self._manager.fsm.changes
+        self._changes = -1  # the behavior that it begins with is told, too
         self._step_status_due = 0
         self._step_changes = 0
         self._tick_time = 0.0  # of the last tick [s]
@@ -223,7 +224,7 @@ class MotionManagerService:
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes
             _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
-            self._behavior_change.publish(manager.report())
+            self._behavior_change.publish(BehaviorChange(manager.time, manager.fsm.behavior, manager.fsm.reason))
 
     def _counts(self) -> tuple[int, int]:
         """What was refused and what was missed, since start."""

@@ -51,6 +51,33 @@ def registered(net: BifrostNetwork, *names: str) -> None:
     node.close()
 
 
+def completed(*words: str) -> list[str]:
+    """What bash offers for the last of the words."""
+    environment = {
+        "_BIFROST_COMPLETE": "complete_bash",
+        "COMP_WORDS": " ".join(("bifrost", *words)),
+        "COMP_CWORD": str(len(words)),
+    }
+    result = CliRunner().invoke(app, [], env=environment, prog_name="bifrost", complete_var="_BIFROST_COMPLETE")
+    assert result.exit_code == 0, result.output
+    return result.output.split()
+
+
+def test_names_of_what_is_there_are_completed(net: BifrostNetwork) -> None:
+    net.peer("publish", "lab/sample", "200")
+    node = net.node("serving")
+    node.server("lab/ask", Question, Answer, lambda question: Answer("", 0))
+    node.subscriber("attic/sample", Sample)
+    registered(net, "publish_peer", "serving")
+    until(lambda: completed("topic", "hz", "lab/") == ["lab/sample"], "the topic is offered")
+    until(lambda: completed("topic", "echo", "") == ["attic/sample", "lab/sample"], "all topics are offered")
+    until(lambda: completed("service", "call", "l") == ["lab/ask"], "the service is offered")
+
+
+def test_nothing_is_completed_where_no_daemon_answers(bare_network: BifrostNetwork) -> None:
+    assert completed("topic", "hz", "") == []
+
+
 def test_topics(net: BifrostNetwork) -> None:
     peer = net.peer("publish", "lab/sample", "200")
     listener = net.node("listener").subscriber("lab/sample", Sample)

@@ -156,7 +156,7 @@ def watched(ctl: Cli) -> None:
 
 def soon(ctl: Cli) -> None:
     """Who asks waits for nothing that comes once a second: little more than its imports take."""
-    imports = "import valor.valorctl.app, valor.valorctl.status, valor.valorctl.status_view"
+    imports = "import valor.valorctl.status, valor.valorctl.status_view"
 
     def took(*command: str | Path) -> float:
         began = time.monotonic()
@@ -169,7 +169,9 @@ def soon(ctl: Cli) -> None:
 def lean(ctl: Cli) -> None:
     """It imports nothing that takes longer than looking does."""
     environment = os.environ | {"VALOR_HOME": str(ctl.home)}
-    assert imported("status", environment=environment) & HEAVY == {"numpy", "rich", "zmq"}
+    heavy = HEAVY | {"typer"}
+    assert imported("status", environment=environment) & heavy == {"rich", "zmq"}
+    assert imported("status", "--json", environment=environment) & heavy == {"zmq"}
 
 
 def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:

@@ -142,6 +142,10 @@ def test_values_are_completed(line: str, offered: set[str], home: Path) -> None:
         assert all(each.startswith(begun) for each in completed("bash", line, home))
 
 
+def test_topics_are_not_completed_where_nothing_is_up(home: Path) -> None:
+    assert completed("bash", "valorctl topic hz ", home) == []
+
+
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
 def test_other_shells_are_offered_the_same(shell: str, home: Path) -> None:
     assert "dirt" in " ".join(completed(shell, "valorctl up --world d", home))

@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment, imports included: one line, the exit status of the signal, no traceback."""
+"""A signal at any moment, imports included: one line, the exit status of the signal, no traceback."""
 
 from __future__ import annotations
 
@@ -44,3 +44,20 @@ def test_ctrl_c_ends_in_one_line_whenever_it_comes(arguments: list[str], tmp_pat
         assert not ours(told), told
         if process.returncode == 128 + signal.SIGINT:
             assert told == "valorctl: interrupted by SIGINT\n"
+
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize("signum", SIGNALS, ids=lambda signum: signum.name)
+def test_a_signal_during_imports_ends_in_one_line(signum: signal.Signals) -> None:
+    code = (
+        "import os, sys; from valor.valorctl import __main__ as valorctl\n"
+        "class Import:\n"
+        f"    def find_spec(self, name, *_): os.kill(os.getpid(), {int(signum)}) if name == 'typer' else None\n"
+        "sys.meta_path.insert(0, Import())\n"
+        "sys.argv[1:] = ['up', '-h']\n"
+        "sys.exit(valorctl.main())"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (128 + signum, f"valorctl: interrupted by {signum.name}\n")

@@ -57,6 +57,40 @@ def test_lines_come_in_the_order_of_time_across_midnight(instance: Instance) -> 
         assert texts(reader) + texts(reader) == ["anew"]
 
 
+def test_what_was_moved_out_of_a_full_logs_way_is_read_where_it_is_asked_for(instance: Instance) -> None:
+    comms = instance.logs / "comms_manager.log"
+    comms.with_name("comms_manager.log.2").write_text("2026-01-31 23:59:50,000 INFO comms_manager: oldest\n")
+    # What a process prints is not cut at the ends of lines.
+    log, begun = (
+        "2026-01-31 23:59:55,000 INFO comms_manager: older\n2026-01-31 23:59:5",
+        "7,000 INFO comms_manager: old",
+    )
+    comms.with_name("comms_manager.log.1").write_text(log)
+    comms.write_text(f"{begun}\n{COMMS}")
+    with LogReader(instance, "comms_manager") as reader:
+        assert texts(reader) == ["oldest", "older", "old", "two", "four"]
+        with open(comms, "a") as log:
+            log.write("2026-02-01 00:00:01,000 INFO comms_manager: six\n")
+        assert texts(reader) == ["six"]
+    with LogReader(instance, "comms_manager", datetime(2026, 1, 31, 23, 59, 54)) as reader:
+        assert texts(reader) == ["older", "old", "two", "four", "six"]
+    with LogReader(instance, "comms_manager", level="warning", lines=1) as reader:
+        assert texts(reader) == ["two"]
+    with LogReader(instance, "comms_manager", lines=4) as reader:
+        assert texts(reader)[-4:] == ["old", "two", "four", "six"]
+    with LogReader(instance, None, datetime(2026, 1, 31, 23, 59, 56)) as reader:
+        assert texts(reader)[:4] == ["old", "a library that knows no time", "one", "two"]
+
+
+def test_a_full_log_is_not_read_where_the_newest_lines_are_enough(instance: Instance) -> None:
+    full = instance.logs / "comms_manager.log.1"
+    full.mkdir()  # who reads it fails
+    with LogReader(instance, "comms_manager", lines=2) as reader:
+        assert texts(reader) == ["two", "four"]
+    with LogReader(instance, "comms_manager", datetime(2026, 1, 31, 23, 59, 59)) as reader:
+        assert texts(reader) == ["four"]
+
+
 def test_a_moment_and_a_level_leave_out_what_is_older_and_less_grave(instance: Instance) -> None:
     with LogReader(instance, None, datetime(2026, 1, 31, 23, 59, 59)) as reader:
         assert texts(reader) == ["three", *TRACE, "four", "five"]

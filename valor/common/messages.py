@@ -166,6 +166,14 @@ class MotionState(Message):
     tick_time: float  # of the tick before, from Proprioceptor at the socket to everything done that a tick does [s]
 
 
+class BehaviorChange(Message):
+    """The behavior that the Motion Manager went to. Without arrays: who asks for it alone waits for no NumPy."""
+
+    time: int
+    behavior: str
+    reason: str  # as MotionState's
+
+
 class Rejection(Message):
     """A command that the Motion System did not obey."""
 

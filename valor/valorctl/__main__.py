@@ -1,6 +1,6 @@
 """``valorctl``: the command line's entry point and its exit status.
 
-Until ``main`` has begun Ctrl-C would end in a traceback; so it ends without a word until then.
+Until ``main`` has begun Ctrl-C would end in a traceback; so it ends without a word until then, as by other signals.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ STOP_NICE = -5  # as the VRC's on hardware
 
 
 def main() -> int:
-    """Run the command line as a process of its own; what ``run`` says, and Ctrl-C at any moment ends it in one line.
+    """Run the command line as a process of its own; what ``run`` says, and a signal at any moment ends it in one line.
 
     Where something must be put in order first, ``interruption`` takes over.
     """
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as under nohup
-        signal.signal(signal.SIGINT, _end)
+    for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(signum) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(signum, _end)
     try:
         return run()
     finally:
@@ -78,7 +79,10 @@ def run() -> int:
 
 
 def _obey(arguments: list[str]) -> None:
-    """Do what a command line says; a stop without waiting for the other verbs' imports, or if granted for its turn."""
+    """Do what a command line says; what is asked most urgently, or most often, waits for no other verb's imports.
+
+    A stop does not wait for its turn, either, if that is granted.
+    """
     if "stop" in arguments:
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, STOP_NICE)
@@ -86,6 +90,15 @@ def _obey(arguments: list[str]) -> None:
 
         if plain := stopping.command_line(arguments):
             stopping.run(*plain)
+            return
+    if "status" in arguments:
+        from valor.valorctl.plain_command import plain_command
+
+        if asked := plain_command(arguments, "status", ("--json",)):
+            from valor.valorctl import status
+
+            instance, options = asked
+            status.run(instance, "--json" in options)
             return
     from valor.valorctl.app import app
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -65,7 +66,14 @@ def moment(text: str, now: datetime) -> datetime:
 class LogReader:
     """Reads one log, or all. A context manager."""
 
-    def __init__(self, instance: Instance, name: str | None, since: datetime | None = None, level: str = "") -> None:
+    def __init__(
+        self,
+        instance: Instance,
+        name: str | None,
+        since: datetime | None = None,
+        level: str = "",
+        lines: int | None = None,
+    ) -> None:
         """Open the logs.
 
         Args:
@@ -73,6 +81,7 @@ class LogReader:
             name: of a service; None: all.
             since: leave out what is older.
             level: leave out what is less grave; empty: nothing.
+            lines: how many of the last are wanted; None: all. More may be taken.
 
         Raises:
             ValorError: unknown process or level, or no log of it; lists the known.
@@ -86,7 +95,8 @@ class LogReader:
         if not self._logs:
             of = f"of {name} " if name else ""
             raise ValorError(f"instance {instance.name!r}: no log {of}in {instance.logs}")
-        self._since = since
+        self._since, self._lines = since, lines
+        self._begun = False
         self._gravest = frozenset(LEVELS[LEVELS.index(level) if level else 0 :])
 
     def __enter__(self) -> Self:
@@ -98,8 +108,13 @@ class LogReader:
 
     def take(self) -> list[Line]:
         """What has been printed and was not taken before, in the order of time."""
-        lines = (line for log in self._logs.values() for line in log.take())
-        return sorted(filter(self._wanted, lines), key=lambda line: line.when)
+        logs = self._logs.values()
+        if self._begun:
+            found = [line for log in logs for line in log.take()]
+        else:
+            self._begun = True
+            found = [line for log in logs for line in log.begin(self._enough)]
+        return sorted(filter(self._wanted, found), key=lambda line: line.when)
 
     def wait(self) -> list[Line]:
         """Likewise; waits a moment if there is nothing."""
@@ -108,19 +123,29 @@ class LogReader:
             time.sleep(_POLL_PERIOD)
         return lines
 
+    def _enough(self, found: list[Line]) -> bool:
+        """Whether nothing that is older than these is asked for."""
+        timed = list(itertools.dropwhile(lambda line: not line.begins, found))  # what is before may be part of a line
+        if self._since is not None and timed and timed[0].when < self._since:
+            return True
+        return self._lines is not None and sum(map(self._wanted, timed)) >= self._lines
+
     def _wanted(self, line: Line) -> bool:
         return line.level in self._gravest and (self._since is None or line.when >= self._since)
 
 
 class _Log:
-    """One file, also when it is begun anew."""
+    """One file, also when it is begun anew, and those that supervisord moved out of its way when they were full."""
 
     def __init__(self, service: str, path: Path) -> None:
         self._service, self._path = service, path
         self._file = self._open()
         self._partial = ""
+        self._forget()
+
+    def _forget(self) -> None:
         # Of what is printed before anything has a time: the file itself is no older than that.
-        self._when, self._level = datetime.fromtimestamp(path.stat().st_mtime), "info"
+        self._when, self._level = datetime.fromtimestamp(os.fstat(self._file.fileno()).st_mtime), "info"
         self._any = False
 
     def _open(self) -> TextIO:
@@ -128,6 +153,25 @@ class _Log:
 
     def close(self) -> None:
         self._file.close()
+
+    def begin(self, enough: Callable[[list[Line]], bool]) -> list[Line]:
+        """What is there to begin with, of the older files as much as it takes until it is enough."""
+        older = self._older()
+        text = self._file.read()
+        while True:
+            *texts, self._partial = text.split("\n")
+            self._forget()
+            lines = self._lines(texts)
+            if not older or enough(lines):
+                return lines
+            text = older.pop().read_text(errors="replace") + text  # a line may stand in both
+
+    def _older(self) -> list[Path]:
+        """The newest last."""
+        ours = os.fstat(self._file.fileno()).st_ino  # which may have been moved since it was opened
+        found = [path for path in self._path.parent.glob(f"{self._path.name}.*") if path.suffix[1:].isdecimal()]
+        found = [path for path in found if path.stat().st_ino != ours]
+        return sorted(found, key=lambda path: int(path.suffix[1:]), reverse=True)
 
     def take(self) -> list[Line]:
         *texts, self._partial = (self._partial + self._file.read()).split("\n")

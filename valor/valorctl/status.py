@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,14 +11,16 @@ import bifrost
 from valor.common import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.messages import ClockStatus, ControlModeReport, MotionState
+from valor.common.messages import BehaviorChange, ClockStatus, ControlModeReport
 from valor.common.processes import BY_NAME, RECORDER
-from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, MOTION_STATE, Topic
+from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, Topic
+from valor.valorctl.console import rich_console, say_json
 from valor.valorctl.health import SILENCE, Health, Listener, judge
 from valor.valorctl.recording_report import Glance, glance
 from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor, SupervisorError
 
 FALL = "fall"
+UPTIME_STEP = 1.0  # supervisord counts whole seconds [s]
 WAY_OUT = {FALL: "get-up", "freeze": "mode stand_prep", "soft_stop": "mode stand"}
 """The verb that leads out of a behavior in which the robot obeys nothing else."""
 
@@ -160,10 +162,28 @@ def look(instance: Instance) -> Status:
         return watch.look()
 
 
+def run(instance: Instance, json: bool) -> None:
+    """The verb: look at an instance once, and say what there is.
+
+    Raises:
+        ValorError: it is not up, or nothing restarts its processes.
+    """
+    seen = look(instance)
+    if json:
+        say_json(seen.as_json())
+    else:
+        from valor.valorctl.status_view import view
+
+        rich_console().print(view(seen))
+    if not seen.supervised:
+        raise ValorError(unsupervised(instance, len(seen.services)))
+
+
 class Watch:
     """Hears what an instance's processes say. A context manager.
 
-    All of it comes from latched topics, or at a high rate: whoever asks waits for nothing that comes once a second.
+    All of it comes from latched topics, or at a high rate: whoever asks waits for nothing that comes once a second, nor
+    for NumPy, as none of it has arrays.
     """
 
     def __init__(self, instance: Instance) -> None:
@@ -209,11 +229,12 @@ class Watch:
             listener.listen(0.05, reports.subscribers)
         now = time.monotonic()
         restarts = self._supervisor.restarts()
-        state, mode, clock = reports.motion_state, reports.control_mode, reports.clock
-        seen = Status(
+        mode, clock = reports.control_mode, reports.clock
+        change = self._change(infos.get(BEHAVIOR_CHANGE.publisher), now)
+        return Status(
             instance=self._instance.name,
             settings=self._settings,
-            behavior=state.behavior if state else None,
+            behavior=change.message.behavior if change else None,
             control_mode=mode.current_control_mode if mode else None,
             clock=clock,
             services=[
@@ -222,13 +243,18 @@ class Watch:
                 if name in infos
             ],
             recording=glance(self._instance, self._settings.recording.bounds) if RECORDER in self._names else None,
+            condition=self._condition(change) if change else None,
             supervised=supervised,
         )
-        return replace(seen, condition=self._condition(reports.change)) if state else seen
 
-    def _condition(self, change: bifrost.Received[MotionState] | None) -> Condition | None:
-        if change is None:
+    def _change(self, info: ProcessInfo | None, now: float) -> bifrost.Received[BehaviorChange] | None:
+        """The last change of behavior, if the process that runs now made it, and is not silent."""
+        change, word = self._reports.change, self._listener.words.get(BEHAVIOR_CHANGE.publisher)
+        if change is None or word is None or info is None or word.pid != info.pid or now - word.heard > SILENCE:
             return None
+        return change if now - change.stamp * 1e-9 <= info.uptime + UPTIME_STEP else None
+
+    def _condition(self, change: bifrost.Received[BehaviorChange]) -> Condition:
         began = time.time() - (time.monotonic_ns() - change.stamp) * 1e-9
         bag = recordings.holding(self._instance.folder, began)
         return Condition(change.message.reason, change.message.time * 1e-9, began, bag)
@@ -262,12 +288,10 @@ class _Reports:
     """The newest of what is reported besides the processes' own state."""
 
     def __init__(self, node: bifrost.Node) -> None:
-        self._states = node.subscriber(MOTION_STATE.name, MotionState)
         self._modes = node.subscriber(CONTROL_MODE.name, ControlModeReport)
         self._clocks = node.subscriber(CLOCK.name, ClockStatus)
-        self._changes = node.subscriber(BEHAVIOR_CHANGE.name, MotionState)
-        self.change: bifrost.Received[MotionState] | None = None  # said once, and true until another comes
-        self.motion_state: MotionState | None = None
+        self._changes = node.subscriber(BEHAVIOR_CHANGE.name, BehaviorChange)
+        self.change: bifrost.Received[BehaviorChange] | None = None
         self.control_mode: ControlModeReport | None = None
         self.clock: ClockStatus | None = None
 
@@ -279,7 +303,6 @@ class _Reports:
     @property
     def _heard(self) -> tuple[tuple[Topic, bifrost.Subscriber[Any], object], ...]:
         return (
-            (MOTION_STATE, self._states, self.motion_state),
             (BEHAVIOR_CHANGE, self._changes, self.change),
             (CONTROL_MODE, self._modes, self.control_mode),
             (CLOCK, self._clocks, self.clock),
@@ -287,12 +310,10 @@ class _Reports:
 
     def forget(self) -> None:
         """What was reported before is not what is reported now."""
-        self.motion_state = self.control_mode = self.clock = None
+        self.control_mode = self.clock = None
 
     def take(self) -> None:
         """Take in what has come."""
-        if state := self._states.latest():
-            self.motion_state = state.message
         if mode := self._modes.latest():
             self.control_mode = mode.message
         if clock := self._clocks.latest():

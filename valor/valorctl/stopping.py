@@ -23,6 +23,7 @@ from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, P
 from valor.common.topics import BEHAVIOR, CLOCK, PROPRIOCEPTOR
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
+from valor.valorctl.plain_command import plain_command
 
 SOFT_STOP, FREEZE, FALL = "soft_stop", "freeze", "fall"
 LONGEST = 3.0  # until it is given up, once somebody has answered [s]
@@ -108,19 +109,11 @@ class Stop:
 
 
 def command_line(arguments: Sequence[str]) -> tuple[Instance, Goal, bool] | None:
-    """What a command line that is nothing but ``stop`` asks for, and whether as JSON; None: another one.
-
-    So a stop need not wait until the other verbs are imported.
-    """
-    words = list(arguments)
-    name = None
-    if "--instance" in words[:-1]:
-        at = words.index("--instance")
-        name = words[at + 1]
-        del words[at : at + 2]
-    if words[:1] != ["stop"] or not {*words[1:]} <= {"--freeze", "--json"}:
-        return None
-    return Instance.from_environment(name), LOCK if "--freeze" in words else STOP, "--json" in words
+    """What a command line that is nothing but ``stop`` asks for, and whether as JSON; None: another one."""
+    if plain := plain_command(arguments, "stop", ("--freeze", "--json")):
+        instance, options = plain
+        return instance, LOCK if "--freeze" in options else STOP, "--json" in options
+    return None
 
 
 def run(instance: Instance, goal: Goal, json: bool) -> None:

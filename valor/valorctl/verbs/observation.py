@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl import completion
-from valor.valorctl.console import rich_console, say, say_json
+from valor.valorctl.console import say, say_json
 
 if TYPE_CHECKING:
-    from valor.valorctl.status import Status, Watch
+    from valor.valorctl.status import Watch
 
 WATCH_PERIOD = 1.0  # [s]
 
@@ -36,15 +35,8 @@ def status(
     instance = Instance.from_environment()
     if watch:
         _watch(looking.Watch(instance), json)
-        return
-    seen = looking.look(instance)
-    if json:
-        say_json(seen.as_json())
     else:
-        from valor.valorctl.status_view import view
-
-        rich_console().print(view(seen))
-    _fail_if_unsupervised(instance, seen)
+        looking.run(instance, json)
 
 
 def _watch(watch: Watch, json: bool) -> None:
@@ -57,13 +49,6 @@ def _watch(watch: Watch, json: bool) -> None:
                 say_json(watch.look().as_json(), one_line=True)
                 time.sleep(WATCH_PERIOD)
         show(watch.look, WATCH_PERIOD)
-
-
-def _fail_if_unsupervised(instance: Instance, seen: Status) -> None:
-    from valor.valorctl.status import unsupervised
-
-    if not seen.supervised:
-        raise ValorError(unsupervised(instance, len(seen.services)))
 
 
 def logs(
@@ -92,11 +77,11 @@ def logs(
     from valor.valorctl.log_view import LogView
 
     begin = moment(since, datetime.now()) if since is not None else None
-    with LogReader(Instance.from_environment(), service, begin, level.lower()) as reader:
+    count = 20 if lines is None and since is None else lines
+    with LogReader(Instance.from_environment(), service, begin, level.lower(), count) as reader:
         view = LogView(named=service is None)
         found = reader.take()
-        count = lines if lines is not None else len(found) if since is not None else 20
-        view.show(found[len(found) - min(count, len(found)) :])
+        view.show(found if count is None else found[max(0, len(found) - count) :])
         with until_interrupted():
             while follow:
                 view.show(reader.wait())
