@@ -51,7 +51,7 @@ class NodeRecord(msgspec.Struct, frozen=True):
         incarnation: a random number that no other node, and no later run of this one, has.
         pid: of its process.
         computer: where it runs.
-        started: wall clock [ns].
+        started: monotonic clock of its computer [ns]; with that of another computer it cannot be compared.
         entries: all that it has.
         schemas: by hash, of every type in ``entries``.
     """

@@ -36,7 +36,8 @@ class Discovery:
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str) -> None:
         self.incarnation = secrets.randbits(63)
-        self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), network.computer.name, time.time_ns())
+        here = network.computer.name
+        self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), here, time.monotonic_ns())
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._entries: dict[int, d.Entry] = {}
@@ -52,7 +53,7 @@ class Discovery:
         self._dirty = False
         self._next_registration = 0.0
         self._closing = False
-        self._neighbors = Neighbors()
+        self._neighbors = Neighbors(here)
         self._grants = network.grants
         self._refused: set[str] = set()  # that the log has told of
         self._heard = 0.0  # when the daemon last said anything

@@ -59,7 +59,7 @@ class Graph:
     def from_records(cls, records: Iterable[NodeRecord]) -> Graph:
         """Turn the table around: from nodes with topics to topics with nodes."""
         graph = cls([], {}, {}, {})
-        for record in sorted(records, key=lambda record: (record.name, record.started)):
+        for record in sorted(records, key=lambda record: (record.name, record.computer, record.started)):
             graph.nodes.append(record.name)
             graph.schemas.update(record.schemas)
             for entry in record.entries:

@@ -59,7 +59,9 @@ class Neighbors:
         version: of its table; −1 before the first.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, here: str) -> None:
+        """Of a node on the computer ``here``."""
+        self._here = here
         self.nodes: dict[int, d.NodeRecord] = {}
         self.epoch = 0
         self.version = -1
@@ -176,7 +178,10 @@ class Neighbors:
                     watch.notify()
 
     def _peers(self, kind: d.Kind, topic: str) -> tuple[Peer, ...]:
-        """Those in the table last, of these the node started last; of the departed, those that matter."""
+        """Those in the table last; of these those of this computer; of each computer's the node started last.
+
+        Of the departed, those that matter.
+        """
         found: list[tuple[bool, Peer]] = []
         for incarnation, entries in self._ends.get((kind, topic), {}).items():
             departed = self._departed.get(incarnation)
@@ -186,7 +191,7 @@ class Neighbors:
                 found += [(departed is None, _peer(record, entry, alive)) for entry in entries]
         if self._own_record is not None:
             found += [(True, _peer(self._own_record, entry, True)) for entry in self._own.get((kind, topic), ())]
-        found.sort(key=lambda pair: (pair[0], pair[1].started))
+        found.sort(key=lambda pair: (pair[0], pair[1].computer == self._here, pair[1].computer, pair[1].started))
         return tuple(peer for _, peer in found)
 
 

@@ -11,7 +11,6 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 WALL = {"time", "time_ns", "now", "utcnow", "today", "localtime", "gmtime"}
 DATES = {
-    "bifrost/discovery.py": "when a node began, for people, and which of two of one name is told first",
     "services/bag_recorder/clock.py": "dates of recordings",
     "services/bag_recorder/housekeeper.py": "ages of recordings, from one look at the clock",
     "services/bag_recorder/shelf.py": "names of recordings",

@@ -23,6 +23,8 @@ _ENTRIES = st.lists(
     ),
     max_size=4,
 ).map(tuple)
+HERE = "here"
+COMPUTERS = dict(enumerate(("there", HERE, "afar", HERE, "there", HERE)))  # by incarnation
 _INCARNATIONS = st.integers(1, 4)
 _REASONS = st.sampled_from(["left", "lost", "silent", "forgotten", "unreachable"])
 _MAYBE_ALIVE = ("silent", "forgotten", "unreachable")
@@ -30,7 +32,7 @@ _KEYS = [(kind, topic) for kind in ("publisher", "server") for topic in "abc"]
 
 
 def _record(incarnation: int, entries: tuple[d.Entry, ...]) -> d.NodeRecord:
-    return d.NodeRecord(f"node_{incarnation}", incarnation, 1, "localhost", 10 - incarnation, entries)
+    return d.NodeRecord(f"node_{incarnation}", incarnation, 1, COMPUTERS[incarnation], 10 - incarnation, entries)
 
 
 class Model(RuleBasedStateMachine):
@@ -38,7 +40,7 @@ class Model(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.neighbors = Neighbors()
+        self.neighbors = Neighbors(HERE)
         self.present: dict[int, tuple[d.Entry, ...]] = {}
         self.departed: dict[int, tuple[tuple[d.Entry, ...], bool]] = {}
         self.own: list[d.Entry] = []
@@ -112,8 +114,11 @@ class Model(RuleBasedStateMachine):
                 if (entry.kind, entry.topic) == (kind, topic) and (alive or kind == "publisher")
             }
             assert {(peer.incarnation, peer.entry.endpoint, peer.alive) for peer in watch.peers} == expected
-            # Those in the table come last, the one started last at the end: it is the one to call.
-            order = [(peer.incarnation not in self.departed, peer.started) for peer in watch.peers]
+            # Those in the table come last, on this computer the one started last at the end: it is the one to call.
+            order = [
+                (peer.incarnation not in self.departed, peer.computer == HERE, peer.computer, peer.started)
+                for peer in watch.peers
+            ]
             assert order == sorted(order)
             # Its owner is told when, and only when, there is something new to see.
             before, told = self.seen[kind, topic]
@@ -131,7 +136,7 @@ def test_of_a_node_with_many_topics_only_those_that_change_are_looked_at(number:
     def entry(i: int, endpoint: str = "tcp://1") -> d.Entry:
         return d.Entry("publisher", f"topic_{i}", ("T",), ("00",), endpoint)
 
-    neighbors, looked = Neighbors(), []
+    neighbors, looked = Neighbors(HERE), []
     neighbors.put(_record(1, tuple(entry(i) for i in range(number))))
     for i in range(number):
         neighbors.watch(Watch("publisher", f"topic_{i}", lambda i=i: looked.append(i)))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec import field
+from msgspec import Meta, field
 
 from valor.common.errors import ConfigurationError
 from valor.common.table import NonNegative, Positive, Table, TableError, checked, plain, read
@@ -20,6 +20,7 @@ class Joint(Table):
     limit: Positive
     gains: dict[str, NonNegative] = field(default_factory=dict)
     mode: Literal["force", "position"] = "force"
+    rate: Annotated[float, Meta(ge=100, le=1000, extra={"unit": "Hz"})] | None = None
 
     def __post_init__(self) -> None:
         if self.mode == "force" and self.limit > 50:
@@ -80,6 +81,9 @@ def test_values_are_taken_as_their_types_and_given_back() -> None:
             "expected float >= 0.0, got -1",
         ),
         ({"joints": {"knee": KNEE | {"mode": "magic"}}}, "joints.knee.mode", "expected force or position, got 'magic'"),
+        ({"joints": {"knee": KNEE | {"rate": 7}}}, "joints.knee.rate", "expected float >= 100.0 Hz, got 7"),
+        ({"spare": [KNEE | {"rate": 5000.0}]}, "spare.0.rate", "expected float <= 1000.0 Hz, got 5000.0"),
+        ({"joints": {"knee": KNEE | {"rate": "7"}}}, "joints.knee.rate", "expected float or nothing, got '7'"),
         ({"joints": {"knee": {"limit": math.nan}}}, "joints.knee.limit", "expected a finite number, got nan"),
         ({"spare": [KNEE, {"limit": -1}]}, "spare.1.limit", "expected float > 0.0, got -1"),
         ({"spare": KNEE}, "spare", "expected a list, got a mapping"),

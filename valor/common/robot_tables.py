@@ -136,7 +136,7 @@ class ActuatorProfile(Table):
     noise: SensorNoise = SensorNoise()
 
 
-ControlRate = Annotated[float, Meta(ge=100, le=1000)]
+ControlRate = Annotated[float, Meta(ge=100, le=1000, extra={"unit": "Hz"})]
 """[Hz]. Undisturbed and without delays ESCHER still stands at 25 Hz, and falls at 10: this leaves room for both."""
 
 Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
@@ -149,7 +149,9 @@ class RobotTables(Table, kw_only=True):
     name: str
     model: str  # MJCF file in the robot's folder
     control_rate: ControlRate  # [Hz]
-    physics_step: Annotated[float, Meta(ge=1e-4, le=0.005)]  # of the simulation; contacts bear no longer one [s]
+    physics_step: Annotated[
+        float, Meta(ge=1e-4, le=0.005, extra={"unit": "s"})
+    ]  # of the simulation; contacts bear no longer one [s]
     base: str  # the floating body, the pelvis
     chest: str  # the body that pushes act on and whose orientation is held
     head: str

@@ -20,8 +20,9 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 
 _PLACE = re.compile(r"(?P<what>.*?)(?: - at `(?:(?P<of_key>key)` in `)?\$(?P<path>.*)`)?", re.DOTALL)
 _PART = re.compile(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]")
-_JSON = re.compile(r"`(\w+)`|Expected")
-_WORDS = {None: "expected", "object": "a mapping", "array": "a list", "null": "nothing"}
+_JSON = re.compile(r"`([\w |]+)`|Expected")
+_WORDS = {"object": "a mapping", "array": "a list", "null": "nothing"}
+_BOUND = re.compile(r"[<>]=? [\d.e+-]+")
 _CHOICE = re.compile(r"Invalid (?:enum )?value (.*)")
 _FIELD = re.compile(r"Object (missing required|contains unknown) field `(.*)`")
 
@@ -142,8 +143,12 @@ def _explained(kind: type[Table], content: object, error: msgspec.ValidationErro
         choices = _choices(kind, parts, bool(match["of_key"]))
         what = f"expected {' or '.join(sorted(map(str, choices)))}, got {value[1]}"
     else:
-        what = _with_value(what, content, keys)
-    return TableError(keys, _JSON.sub(lambda word: _WORDS.get(word[1], word[1]), what))
+        what = _BOUND.sub(rf"\g<0>{_unit(kind, parts)}", _with_value(what, content, keys))
+    return TableError(keys, _JSON.sub(_in_words, what))
+
+
+def _in_words(found: re.Match[str]) -> str:
+    return " or ".join(_WORDS.get(kind, kind) for kind in found[1].split(" | ")) if found[1] else "expected"
 
 
 def _keys(kind: type[Table], content: object, complaint: str, parts: list[str]) -> list[str]:
@@ -178,6 +183,14 @@ def _with_value(what: str, content: Any, path: Sequence[str]) -> str:
         return what
     text = repr(content)
     return f"{what.partition(', got ')[0]}, got {text if len(text) <= _LONGEST else text[:_LONGEST] + '…'}"
+
+
+def _unit(kind: type[Table], parts: Sequence[str]) -> str:
+    """Of the number at a place, with a blank before it: of its ``Meta(extra={"unit": ...})``; empty if it says none."""
+    inner = [each for outer in _types(kind, parts[:-1]) for part in parts[-1:] for each in _parts(outer, part)]
+    found = [one for each in inner for one in (each.types if isinstance(each, msgspec.inspect.UnionType) else [each])]
+    units = (each.extra.get("unit") for each in found if isinstance(each, msgspec.inspect.Metadata) and each.extra)
+    return "".join(f" {unit}" for unit in units if unit)
 
 
 def _choices(kind: type[Table], parts: Sequence[str], of_key: bool) -> Iterator[Any]:
