@@ -11,7 +11,7 @@ from valor.common.resources import robot_folder
 from valor.common.robot import RobotDescription
 from valor.valorctl.arm_motion import SIDES, Limb, preset, trajectory_duration
 from valor.valorctl.health import SILENCE, START_GRACE, Word, judge
-from valor.valorctl.supervision import ProcessInfo, ProcessState, count_restarts
+from valor.valorctl.supervision import ProcessInfo, ProcessState, count_restarts, last_end
 
 NOW = 1000.0
 
@@ -55,7 +55,7 @@ def test_the_state_is_what_both_words_agree_on(
 
 def test_restarts_are_ends_that_nobody_asked_for(tmp_path: Path) -> None:
     log = tmp_path / "supervisord.log"
-    assert count_restarts(log) == {}
+    assert count_restarts(log) == {} and last_end(log, "a") == ""
     log.write_text(
         "2026-01-01 00:00:00,000 INFO spawned: 'a' with pid 1\n"
         "2026-01-01 00:00:01,000 WARN exited: a (terminated by SIGKILL; not expected)\n"
@@ -64,6 +64,8 @@ def test_restarts_are_ends_that_nobody_asked_for(tmp_path: Path) -> None:
         "2026-01-01 00:00:04,000 INFO stopped: c (exit status 0)\n"
     )
     assert count_restarts(log) == {"a": 2}
+    ends = {name: last_end(log, name) for name in ("a", "b", "c")}
+    assert ends == {"a": "exit status 1", "b": "exit status 78", "c": ""}
 
 
 @pytest.fixture(scope="module")

@@ -135,7 +135,7 @@ def _start(
         infos = supervisor.processes()
         health = {name: judge(infos[name], listener.words.get(name), now) for name in started}
         for name in started:
-            _require_first_run(instance, infos[name], pids)
+            _require_first_run(instance, infos[name], pids, supervisor)
         for name in [name for name in waiting if name in started and health[name].state in ("ready", "degraded")]:
             waiting.remove(name)
             ready.add(name)
@@ -152,11 +152,11 @@ def _describe(health: Health) -> str:
     return f"{health.name} ({health.detail})" if health.detail else health.name
 
 
-def _require_first_run(instance: Instance, info: ProcessInfo, pids: dict[str, int]) -> None:
+def _require_first_run(instance: Instance, info: ProcessInfo, pids: dict[str, int], supervisor: Supervisor) -> None:
     """A process that ends while the instance comes up will do so again: fail with its words now."""
     first = pids.setdefault(info.name, info.pid) if info.pid else pids.get(info.name)
     if info.state in (ProcessState.EXITED, ProcessState.FATAL, ProcessState.BACKOFF) or info.pid != first:
-        why = info.problem if info.state is ProcessState.FATAL else f"ended with exit status {info.exit_status}"
+        why = info.problem if info.state is ProcessState.FATAL else f"ended, {supervisor.last_end(info)}"
         raise StartError(f"{info.name} did not start: {why}{log_tail(instance, info.name)}")
 
 

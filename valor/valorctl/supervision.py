@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import re
 import socket
@@ -151,6 +152,10 @@ class Supervisor:
         """How often each process was restarted because it had ended by itself, since ``up``."""
         return count_restarts(self._log)
 
+    def last_end(self, info: ProcessInfo) -> str:
+        """How a process ended last: an exit status, or a signal."""
+        return last_end(self._log, info.name) or f"exit status {info.exit_status}"
+
 
 def count_restarts(log: Path) -> dict[str, int]:
     """Unexpected ends by process, from supervisord's log (which is begun anew by each ``up``)."""
@@ -162,6 +167,18 @@ def count_restarts(log: Path) -> dict[str, int]:
     for match in re.finditer(r"WARN exited: (\S+) \(.*; not expected\)", text):
         counts[match[1]] = counts.get(match[1], 0) + 1
     return counts
+
+
+def last_end(log: Path, name: str) -> str:
+    """How a process ended last, in supervisord's words: an exit status, or a signal; empty: not at all.
+
+    Of a process that was begun anew since, supervisord itself has forgotten it.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        text = log.read_text(errors="replace")
+        if ends := re.findall(rf" exited: {re.escape(name)} \((.*); (?:not )?expected\)", text):
+            return str(ends[-1])
+    return ""
 
 
 def launch(
