@@ -101,12 +101,14 @@ MINUTES ?= 60
 PROFILE ?= sim
 soak: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --minutes $(MINUTES) --seed $(or $(SEED),0) --profile $(PROFILE) \
-	  --first $(or $(FIRST),0) $(if $(STEPS),--steps $(STEPS)) $(if $(CYCLES),--cycles $(CYCLES))
+	  --first $(or $(FIRST),0) --out $(MEASURED) $(if $(STEPS),--steps $(STEPS)) $(if $(CYCLES),--cycles $(CYCLES))
 
-# The rows of docs/reliability.md, measured again (hours; ROWS="'walking/kill motion_manager'" for some), into a file.
+# The rows of docs/reliability.md (hours, in pieces of MINUTES: it goes on with what was measured least; ROWS="'walking/kill
+# motion_manager'" for some), into a file from which `python -m tests.soak.rows` makes the document's tables.
+MEASURED := build/reliability.jsonl
 reliability: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --profile $(PROFILE) --times $(or $(TIMES),5) --out build/reliability.json \
-	  --rows $(ROWS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --profile $(PROFILE) --times $(or $(TIMES),5) --minutes $(MINUTES) \
+	  --seed $(or $(SEED),0) --out $(MEASURED) --rows $(ROWS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,10 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
-from tests.soak.activities import ACTIVITIES
-from tests.soak.checks import in_logs
+from tests.soak import disk, rows
+from tests.soak.cycles import cycle
 from tests.soak.rig import BrokenError, Rig
-from tests.soak.rows import everything
 from tests.soak.run import Outcome, Soak
 from valor.common.errors import ValorError
 
@@ -28,10 +25,28 @@ from valor.common.errors import ValorError
 def main() -> int:
     """Returns the exit status: 0 where everything held."""
     arguments = _arguments()
+    for number in (signal.SIGINT, signal.SIGTERM):  # in the background the first would be ignored
+        signal.signal(number, signal.default_int_handler)
     home = Path(tempfile.mkdtemp(prefix="soak-"))
-    rig = Rig(home, arguments.profile, "--robot", arguments.robot, "--seed", str(arguments.seed))
-    if arguments.cycles:
-        return _cycle(rig, arguments.cycles)
+    failed = True
+    try:
+        rig = Rig(home, arguments.profile, "--robot", arguments.robot, "--seed", str(arguments.seed))
+        if not rig.own_disk:
+            print("skipped: full disk (this user may not mount one in memory)")
+        failed = _cycle(rig, arguments.cycles) if arguments.cycles else _soak(rig, arguments)
+    finally:
+        if kept := disk.leave(home, keep=failed):
+            print(f"logs and bags stay in {kept}")
+    return 1 if failed else 0
+
+
+def _cycle(rig: Rig, count: int) -> bool:
+    found = cycle(rig, count)
+    print(*found, sep="\n")
+    return bool(found)
+
+
+def _soak(rig: Rig, arguments: argparse.Namespace) -> bool:
     done: list[Outcome] = []
     rest: list[str] = []
     began = time.monotonic()
@@ -40,22 +55,18 @@ def main() -> int:
         for number, (activity, event, rng) in enumerate(_plan(arguments, soak, began), arguments.first):
             outcome = soak.step(activity, event, rng)
             done.append(outcome)
+            if arguments.out:
+                rows.add(arguments.out, arguments.profile, outcome)
             print(f"{time.monotonic() - began:6.0f} s  step {number}  {outcome.line()}", flush=True)
     except KeyboardInterrupt:
         print("interrupted")
     except (AssertionError, ValorError, BrokenError, subprocess.TimeoutExpired) as error:
         rest.append(f"cannot go on: {error}")
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever is impatient would leave a system behind
+        for number in (signal.SIGINT, signal.SIGTERM):  # whoever is impatient would leave a system behind
+            signal.signal(number, signal.SIG_IGN)
         rest += soak.close()
-    if arguments.out:
-        _write(arguments.out, arguments.profile, done)
-    failed = _report(done, rest, arguments)
-    if failed:
-        print(f"logs and bags stay in {home}")
-    else:
-        shutil.rmtree(home)
-    return 1 if failed else 0
+    return _report(done, rest, arguments)
 
 
 def _arguments() -> argparse.Namespace:
@@ -66,62 +77,40 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--first", type=int, default=0, help="the step to begin with: to see one again")
     parser.add_argument("--profile", default="sim")
     parser.add_argument("--robot", default="escher")
-    parser.add_argument("--rows", nargs="*", metavar="ACTIVITY/EVENT", help="these alone, each --times; none: all")
+    parser.add_argument(
+        "--rows", nargs="*", metavar="ACTIVITY/EVENT", help="these alone, each --times in all; none: all"
+    )
     parser.add_argument("--times", type=int, default=5)
     parser.add_argument("--cycles", type=int, default=0, help="nothing but so many times up and down")
-    parser.add_argument("--out", type=Path, help="add what was measured to this file")
+    parser.add_argument("--out", type=Path, help="add each step's outcome to this file, a line each")
     return parser.parse_args()
 
 
 def _plan(arguments: argparse.Namespace, soak: Soak, began: float) -> Iterator[tuple[str, str, random.Random]]:
+    def late() -> bool:
+        return time.monotonic() - began > 60.0 * arguments.minutes
+
     if arguments.rows is not None:
-        for row in arguments.rows or everything(soak.events, ACTIVITIES):
-            for time_ in range(arguments.times):
-                activity, event = row.split("/")
-                yield activity, event, random.Random(f"{arguments.seed}/{row}/{time_}")
+        wanted = arguments.rows or rows.everything(soak.events)
+        for row, time_ in rows.to_do(arguments.out, arguments.profile, wanted, arguments.times):
+            if late():
+                return
+            activity, event = row.split("/", 1)
+            yield activity, event, random.Random(f"{arguments.seed}/{row}/{time_}")
         return
     number = arguments.first
-    while (number - arguments.first < arguments.steps) if arguments.steps else (
-        time.monotonic() - began < 60.0 * arguments.minutes
-    ):  # fmt: skip
+    while number - arguments.first < arguments.steps if arguments.steps else not late():
         rng = random.Random(f"{arguments.seed}/{number}")
         yield *soak.choose(rng), rng
         number += 1
 
 
-def _cycle(rig: Rig, cycles: int) -> int:
-    """Up and down; returns 1 where something was left, once or growing."""
-    found: list[str] = []
-    times: list[tuple[float, float]] = []
-    for _ in range(cycles):
-        began = time.monotonic()
-        rig.up()
-        up = time.monotonic()
-        found += rig.down()
-        times.append((up - began, time.monotonic() - up))
-        print(f"up {times[-1][0]:.1f} s, down {times[-1][1]:.1f} s", flush=True)
-    found += in_logs(rig.instance.logs)
-    for verb, column in (("up", 0), ("down", 1)):
-        taken = [each[column] for each in times]
-        print(f"{verb}: median {median(taken):.1f} s, worst {max(taken):.1f} s of {cycles}")
-    print(*found, sep="\n")
-    shutil.rmtree(rig.home)
-    return bool(found)
-
-
-def _write(file: Path, profile: str, done: list[Outcome]) -> None:
-    rows = json.loads(file.read_text()) if file.exists() else []
-    rows += [vars(each) | {"profile": profile} for each in done]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(rows, indent=1))
-
-
 def _report(done: list[Outcome], rest: list[str], arguments: argparse.Namespace) -> bool:
-    rows: dict[str, list[Outcome]] = defaultdict(list)
+    happened: dict[str, list[Outcome]] = defaultdict(list)
     for each in done:
-        rows[each.event].append(each)
+        happened[each.event].append(each)
     print(f"\n{'event':32} times failed  ready after [s]: median  worst")
-    for event, outcomes in sorted(rows.items()):
+    for event, outcomes in sorted(happened.items()):
         ready = sorted(each.ready for each in outcomes if each.ready == each.ready)
         times = f"{median(ready):22.2f} {ready[-1]:6.2f}" if ready else ""
         print(f"{event:32} {len(outcomes):5} {sum(bool(each.failures) for each in outcomes):6}  {times}")

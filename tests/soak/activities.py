@@ -155,7 +155,7 @@ def _fallen(rig: Rig, _: random.Random) -> Going:
             rig.go(Behavior.FALL)
     rig.wait(lambda: rig.behavior is Behavior.FALL, "the fall told")
     began = rig.time
-    rig.wait(lambda: rig.time > began + 3.0, "the robot at rest on the floor")
+    rig.wait(lambda: rig.time > began + 3.0, "the robot on the floor")  # it gives way for a minute yet
     return Going(_nothing)
 
 
@@ -166,7 +166,7 @@ class Activity:
     Attributes:
         begin: brings the robot there from Stand.
         weight: how often it comes, relative to the others.
-        held: the joints stay where they are, whoever dies.
+        held: the joints stay where they are, whoever dies; those of a limp robot do not.
     """
 
     begin: Begin
@@ -181,5 +181,5 @@ ACTIVITIES: Mapping[str, Activity] = {
     "arm on its way": Activity(_arm_on_its_way, 3.0, False),
     "soft stop": Activity(_soft_stop, 1.0, True),
     "frozen": Activity(_frozen, 2.0, True),
-    "fallen": Activity(_fallen, 0.5, True),
+    "fallen": Activity(_fallen, 0.5, False),
 }

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.rules import lawful
+from valor.common.bag_index import BagError
+from valor.common.bag_recovery import recover
 from valor.common.messages import REFLEX, MotionState, Motor
 from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
@@ -135,6 +137,18 @@ def in_logs(folder: Path) -> list[str]:
     for file in sorted(folder.glob("*.log*")):
         text = file.read_text(errors="replace")
         found += [f"{file.name}: {word}" for word in _GRAVE.findall(text)]
+    return found
+
+
+def unreadable(bags: Path) -> list[str]:
+    """Bags of a system that is down which nobody has finished, or that cannot be read."""
+    found = []
+    for bag in sorted(bags.rglob("*.mcap")):
+        try:
+            if not recover(bag).finished:
+                found.append(f"{bag.name} was left unfinished")
+        except BagError as error:
+            found.append(str(error))
     return found
 
 

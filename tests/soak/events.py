@@ -9,14 +9,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import psutil
 
 import bifrost
 from tests.soak.checks import order_kept
+from tests.soak.event import Event
+from tests.soak.flooder import await_heard
+from tests.soak.rare import rare_events
 from tests.soak.rig import Rig
 from tests.soak.rules import BY_ITSELF
 from valor.common import membership
@@ -35,33 +37,10 @@ from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, Behavior
 from valor.valorctl import control_mode
 
 LONGEST_STOP = 7.0  # [s]
-FLOOD = 1.5  # the first of it until it is heard [s]
+FLOOD = 1.0  # once it is heard [s]
 PUSH_IMPULSE = 8.0  # that a robot on both feet bears from any side [N·s]
 STARVATION = 3.0  # [s]
 NAN = float("nan")
-
-Happen = Callable[[Rig, random.Random, str], list[str]]
-
-
-@dataclass(frozen=True)
-class Event:
-    """One line of the table.
-
-    Attributes:
-        happen: given the rig, chance and the process it happens to; returns what was not as it must be.
-        weight: how often it comes, relative to the others.
-        kind: as ``rules.outcomes`` knows it.
-        process: it happens to; empty: to none.
-        commands: the robot may go elsewhere in it, for it is told to.
-        on_feet: only where a robot stands on both of them.
-    """
-
-    happen: Happen
-    weight: float
-    kind: str = ""
-    process: str = ""
-    commands: bool = False
-    on_feet: bool = False
 
 
 def _kill(rig: Rig, rng: random.Random, process: str) -> list[str]:
@@ -123,12 +102,12 @@ def _malformed(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     short = np.zeros(2)
     network = membership.network(rig.instance, "valor_ros_controller")
     with bifrost.Node("liar", network=network) as node:
-        setpoints = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
-        velocity = node.publisher(VELOCITY.name, VelocityCommand)
-        pelvis = node.publisher(PELVIS.name, PelvisSetpoint)
-        gains = node.publisher(JOINT_GAINS.name, JointGains)
-        weights = node.publisher(BALANCE_WEIGHTS.name, BalanceWeights)
-        time.sleep(0.5)  # until they are found; those that are not yet are spared
+        setpoints = node.publisher(JOINT_SETPOINTS.name, JointSetpoints, latched=True)
+        velocity = node.publisher(VELOCITY.name, VelocityCommand, latched=True)
+        pelvis = node.publisher(PELVIS.name, PelvisSetpoint, latched=True)
+        gains = node.publisher(JOINT_GAINS.name, JointGains, latched=True)
+        weights = node.publisher(BALANCE_WEIGHTS.name, BalanceWeights, latched=True)
+        await_heard(node, setpoints, velocity, pelvis, gains, weights)
         for _ in range(10):
             setpoints.publish(JointSetpoints(now, joints, bad, bad, bad))
             setpoints.publish(JointSetpoints(now, joints, short, short, short))
@@ -183,6 +162,8 @@ def _requests(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     """Behaviors, legal and not: each is granted only where an edge leads, and then comes about."""
     found = []
     for _ in range(8):
+        answered = time.monotonic()
+        rig.wait(lambda since=answered: rig.tap.told > since, "a MotionState after the last answer")
         before = rig.behavior
         target = rng.choice([each for each in Behavior if each not in (Behavior.FALL, Behavior.GET_UP)])
         reply = rig.ask(target)
@@ -202,15 +183,17 @@ def _quick_requests(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     found: list[str] = []
     granted: list[str] = []
     behavior = rig.behavior
-    for _ in range(30):
-        target = rng.choice((Behavior.STAND, Behavior.STAND_MANIPULATE))
+    pair = (Behavior.STAND, Behavior.STAND_MANIPULATE)
+    # Elsewhere at last: of what lies between two control periods nobody sees that it came to nothing.
+    for target in [*(rng.choice(pair) for _ in range(30)), pair[behavior is pair[0]]]:
         reply = rig.ask(target)
         if reply.accepted and reply.behavior != target:
             found.append(f"{target} granted, and the answer says {reply.behavior}")
         if reply.accepted and target is not behavior:
             granted.append(target)
             behavior = target
-    _await(rig, behavior, f"{behavior}, granted last of {len(granted)}")
+    answered = time.monotonic()
+    rig.wait(lambda: rig.tap.told > answered, "a MotionState after the last answer")
     seen = [name for name, reason in rig.tap.changes[heard:] if reason == f"{REQUESTED_BY}soak"]
     if not order_kept(granted, seen):
         found.append(f"granted {granted}, came about {seen}")
@@ -254,8 +237,8 @@ def _none(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     return []
 
 
-def events(processes: Sequence[str]) -> dict[str, Event]:
-    """The table, for a profile's processes."""
+def events(processes: Sequence[str], own_disk: bool) -> dict[str, Event]:
+    """The table, for a profile's processes; a disk is filled only if it is nobody else's."""
     table = {
         "nothing": Event(_none, 2.0),
         "requests": Event(_requests, 4.0, commands=True, on_feet=True),
@@ -274,6 +257,6 @@ def events(processes: Sequence[str]) -> dict[str, Event]:
     for name in processes:
         weight = 0.2 if name in costly else 1.0
         table[f"kill {name}"] = Event(_kill, weight, "kill", name)
-        table[f"stop {name}"] = Event(_stop, 1.0, "stop", name)
-        table[f"stop {name} 7 s"] = Event(_stop_long, 0.0, "stop", name)
-    return table
+        table[f"stop {name}"] = Event(_stop, 0.5, "stop", name)
+        table[f"stop {name} 7 s"] = Event(_stop_long, 0.5, "stop", name)
+    return table | rare_events(processes, own_disk)

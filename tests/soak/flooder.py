@@ -1,9 +1,10 @@
-"""One that floods: ``python -m tests.soak.flooder bifrost|ros SECONDS``, as fast as one loop goes."""
+"""One that floods: ``python -m tests.soak.flooder bifrost|ros SECONDS``, as fast as one loop goes, once it is heard."""
 
 from __future__ import annotations
 
 import sys
 import time
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,23 @@ from valor.common.messages import JointSetpoints
 from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS
 
+PATIENCE = 20.0  # until all subscribers have connected [s]
+
+
+def await_heard(node: bifrost.Node, *publishers: bifrost.Publisher[Any]) -> None:
+    """Wait until latched publishers, which alone know, have all the subscribers that there are of their topics.
+
+    Raises:
+        TimeoutError: somebody does not connect.
+    """
+    topics = node.graph().topics
+    deadline = time.monotonic() + PATIENCE
+    for each in publishers:
+        while each.subscribers < len(topics[each.topic].subscribers):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"{each.topic}: {each.subscribers} of its subscribers after {PATIENCE:g} s")
+            time.sleep(0.01)
+
 
 def over_bifrost(instance: Instance, seconds: float) -> int:
     """Set-points for all joints; returns how many."""
@@ -21,7 +39,8 @@ def over_bifrost(instance: Instance, seconds: float) -> int:
     zeros = np.zeros(len(robot.joints))
     message = JointSetpoints(0, list(robot.joints), zeros, zeros, zeros)
     with bifrost.Node("flooder", network=membership.network(instance, "valor_ros_controller")) as node:
-        publisher = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+        publisher = node.publisher(JOINT_SETPOINTS.name, JointSetpoints, latched=True)
+        await_heard(node, publisher)
         until, sent = time.monotonic() + seconds, 0
         while time.monotonic() < until:
             publisher.publish(message)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import psutil
 
 import bifrost
+from tests.soak import disk
 from tests.soak.checks import unexpected_ends
 from tests.soak.rules import Modes, way
 from tests.soak.tap import Tap
-from tests.system import System, leftovers, shared_memory
+from tests.system import VALORCTL, System, leftovers, shared_memory
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import BehaviorReply, BehaviorRequest
@@ -27,9 +29,11 @@ from valor.valorctl.supervision import Supervisor
 
 NAME = "soak"
 PATIENCE = 60.0  # for anything to happen [s]
+UP = 300.0  # for `up` [s]
 TO_STAND = 40.0  # for Stand Prep to have come to rest [s]
 LOW = 0.55  # the pelvis of a robot that lies or kneels; it stands at 0.8 [m]
 STILL = 0.01  # a pelvis as slow as that is at rest [m/s]
+STILL_JOINT = 0.02  # and a joint that goes no farther meanwhile [rad]
 STILL_FOR = 1.0  # [robot time, s]
 SPOKEN = 3.0  # a service that has said nothing for so long is not well [s]
 _LOOK = 0.02  # [s]
@@ -46,6 +50,8 @@ class Rig:
     Attributes:
         tap: of the present system.
         killed: how often each process was killed since it came up.
+        excused: processes that may end by themselves, with whatever words, until it is down.
+        own_disk: what is written goes to a disk that can be filled.
         memory: samples of each process, by name and pid: time [s], memory [MiB].
         ups: how often it was brought up.
     """
@@ -54,11 +60,14 @@ class Rig:
     client: bifrost.Client[BehaviorRequest, BehaviorReply]
 
     def __init__(self, home: Path, profile: str, *options: str) -> None:
-        self.home, self._profile, self._options = home, profile, options
+        self.home = home
+        self._up = ("up", "--profile", profile, *options)
         self.system = System(NAME, home)
         self.instance = Instance(NAME, home)
         self.modes = Modes()
         self.killed: Counter[str] = Counter()
+        self.excused: set[str] = set()
+        self.own_disk = disk.mount(home)
         self.memory: dict[tuple[str, int], list[tuple[float, float]]] = {}
         self.ups = 0
         self._shared = shared_memory()
@@ -67,7 +76,37 @@ class Rig:
 
     def up(self) -> None:
         """Bring it up, the robot standing."""
-        self.system.valorctl("up", "--profile", self._profile, *self._options, timeout=300.0)
+        self.system.valorctl(*self._up, timeout=UP)
+        self._attach()
+
+    def begin_up(self) -> subprocess.Popen[str]:
+        """Have it come up; ``end_up`` waits for it."""
+        command = [str(VALORCTL), *self._up]
+        pipe = subprocess.PIPE
+        up = subprocess.Popen(command, env=self.system.environment, stdout=pipe, stderr=subprocess.STDOUT, text=True)
+        self.supervisor = Supervisor(self.instance)
+        return up
+
+    def end_up(self, up: subprocess.Popen[str], killed: str) -> list[str]:
+        """Wait until it is up, or has given up because of who was killed; then once more.
+
+        Returns what was not as it must be.
+        """
+        said, _ = up.communicate(timeout=UP)
+        found = []
+        if up.returncode:
+            last = said.strip().rpartition("\n")[2]
+            if f"{killed} did not start: ended, terminated by SIGKILL" not in last:
+                found.append(f"up ended with {up.returncode}: {last}")
+            found += [f"left after up gave up: {each}" for each in leftovers(self.home, NAME, self._shared)]
+            self.system.valorctl(*self._up, timeout=UP)
+            self.killed.clear()
+        before = self.killed.copy()
+        self._attach()
+        self.killed.update(before)
+        return found
+
+    def _attach(self) -> None:
         self.ups += 1
         self.killed.clear()
         self.robot = RobotDescription.load(self.instance.settings().robot)
@@ -85,6 +124,8 @@ class Rig:
         self.tap.__exit__(None, None, None)
         self._node.close()
         self.system.valorctl("down")
+        for name in self.excused:
+            restarts.pop(name, None)
         return unexpected_ends(restarts, self.killed) + [
             f"left after down: {each}" for each in leftovers(self.home, NAME, self._shared)
         ]
@@ -112,12 +153,12 @@ class Rig:
                 continue
             self.memory.setdefault((name, pid), []).append((time.monotonic(), memory))
 
-    def unready(self, hit: str, pid: int, since: float) -> list[str]:
-        """Processes that are not known to be ready.
+    def unready(self, hit: Mapping[str, int], since: float) -> list[str]:
+        """Processes that are not known to be ready, and units of devices that are not well.
 
         Args:
-            hit: the one that something happened to, which must have said so since; empty: none.
-            pid: it had before, if it was killed.
+            hit: those that something happened to, which must have said so since, each with the pid that it had before
+                if it was killed.
             since: monotonic [s].
         """
         running = self.pids()
@@ -125,15 +166,17 @@ class Rig:
         for name, now in running.items():
             word = self.tap.words.get(name)
             if name == "bifrostd":
-                well = now != pid
+                well = now != hit.get(name)
             elif word is None:
                 well = False
             else:
-                heard = word.at > (since if name == hit else time.monotonic() - SPOKEN)
+                heard = word.at > (since if name in hit else time.monotonic() - SPOKEN)
                 known = name in _BORROWED or word.pid == now
-                well = heard and known and now != pid and word.state in ("ready", "degraded")
+                states = ("ready",) if name in hit else ("ready", "degraded")
+                well = heard and known and now != hit.get(name) and word.state in states
             if not well:
                 found.append(name)
+        found += self.tap.unwell
         return found or ([] if self._daemon_answers(len(running)) else ["bifrostd"])
 
     def _daemon_answers(self, processes: int) -> bool:
@@ -194,12 +237,14 @@ class Rig:
         self.wait(lambda: self.behavior is behavior, f"{behavior} after it was granted")
 
     def rest(self) -> None:
-        """Wait until the robot has stood still for a while.
+        """Wait until the robot has stood still for a while, its arms too.
 
         Raises:
             BrokenError: it does not come to rest, or has fallen.
         """
+
         moved = self.time
+        self.tap.mark()
 
         def still() -> bool:
             nonlocal moved
@@ -207,7 +252,8 @@ class Rig:
             assert state is not None
             if self.behavior is Behavior.FALL:
                 raise BrokenError(f"fall: {state.reason}")
-            if abs(state.pelvis_linear_velocity_in_odom).max() > STILL or not state.contacts.all():
+            sways = abs(state.pelvis_linear_velocity_in_odom).max() > STILL or not state.contacts.all()
+            if sways or self.tap.strayed(STILL_JOINT):
                 moved = self.time
             return not 0.0 <= self.time - moved < STILL_FOR
 

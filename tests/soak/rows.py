@@ -1,81 +1,188 @@
 """The rows of docs/reliability.md: which are measured, how they are written down, which tests hold them besides.
 
-``python -m tests.soak.rows build/reliability.json`` prints the table of what ``make reliability`` has measured.
+``python -m tests.soak.rows build/reliability.jsonl`` prints the tables of what ``make soak`` and ``make reliability``
+have measured.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import re
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-HEAD = "| event | the robot | profile | is then | everything ready after [s]: median, worst | times | held by |"
-SOAK = "tests/unit/test_soak_rows.py::test_every_row_is_one_that_the_soak_knows_and_allows"
+from tests.soak.activities import ACTIVITIES
+from tests.soak.rules import BY_ITSELF
+
+if TYPE_CHECKING:
+    from tests.soak.run import Outcome
+
+HEAD = "| event | the robot is, times | then | moved [rad] | ready after [s]: median, worst | held by |"
+SOAK = "soak"  # no test of its own: `make soak` may draw it
+GOES_ON, NOT_WELL = "goes on", "not well within 60 s"
 _MANAGER = "tests/integration/test_motion_manager.py::"
+_HARDWARE = "tests/integration/test_hardware.py::"
+_RECORDER = "tests/integration/test_bag_recorder.py::"
+_DRIVER = "tests/integration/test_hdt_arms.py::test_driver_and_bridge_may_die_and_come_back_without_a_jump"
 _HELD = f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
 _MIDDLE = f"{_MANAGER}test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
+# fmt: off
 HELD_BY: Mapping[tuple[str, str, str], str] = {
-    (
-        "kill motion_manager",
-        "standing",
-        "sim",
-    ): _HELD,
-    (
-        "kill motion_manager",
-        "frozen",
-        "sim",
-    ): _HELD,
+    ("kill motion_manager", "standing", "sim"): _HELD,
+    ("kill motion_manager", "frozen", "sim"): _HELD,
+    ("kill motion_manager", "fallen", "sim"): _HELD,
     ("kill motion_manager", "walking", "sim"): _MIDDLE,
     ("stop motion_manager 7 s", "walking", "sim"): _MIDDLE,
-    (
-        "kill motion_manager",
-        "fallen",
-        "sim",
-    ): _HELD,
     ("kill comms_manager", "standing", "sim"): f"{_MANAGER}test_a_killed_comms_manager_is_a_fall_with_its_reason",
-    ("kill comms_manager", "standing", "hardware"): "tests/integration/test_hardware.py::"
-    "test_the_comms_manager_may_die_under_a_standing_robot_and_come_back",
-    ("stop motion_manager 7 s", "standing", "sim"): "tests/integration/test_comms_manager.py::"
-    "test_waits_out_a_stopped_controller_and_never_replays",
-    ("kill bifrostd", "standing", "sim"): "tests/bifrost/test_daemon.py::"
-    "test_data_flows_while_the_daemon_is_dead_and_all_register_again",
-    ("kill bag_recorder", "standing", "sim"): "tests/integration/test_bag_recorder.py::"
-    "test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes",
-    ("garbage bytes", "standing", "sim"): "tests/bifrost/test_security.py::"
-    "test_garbage_on_every_port_ends_nothing_and_delays_nobody",
+    ("kill motion_manager and comms_manager", "standing", "sim"):
+        f"{_MANAGER}test_both_managers_killed_the_robot_is_not_brought_to_its_feet",
+    ("kill valor_ros_controller", "arm on its way", "sim"):
+        "tests/integration/vrc/test_ros_controller.py::test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold",
+    ("kill bifrostd", "standing", "sim"):
+        "tests/bifrost/test_daemon.py::test_data_flows_while_the_daemon_is_dead_and_all_register_again",
+    ("kill bag_recorder", "standing", "sim"):
+        f"{_RECORDER}test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes",
+    ("full disk", "standing", "sim"): f"{_RECORDER}test_a_full_disk_costs_no_more_than_what_does_not_fit",
+    ("garbage bytes", "standing", "sim"):
+        "tests/bifrost/test_security.py::test_garbage_on_every_port_ends_nothing_and_delays_nobody",
+    ("flood over Bifrost", "arm on its way", "sim"):
+        f"{_MANAGER}test_who_floods_is_named_and_muted_while_the_motors_go_on",
+    ("malformed messages", "standing", "sim"):
+        f"{_MANAGER}test_commands_are_refused_with_their_reasons_and_the_robot_stands_on",
+    ("kill motion_manager", "standing", "hardware"):
+        f"{_HARDWARE}test_the_motion_manager_may_die_under_a_standing_robot_and_no_joint_moves",
+    ("kill comms_manager", "standing", "hardware"):
+        f"{_HARDWARE}test_the_comms_manager_may_die_under_a_standing_robot_and_come_back",
+    ("unplug legs/1", "standing", "hardware"):
+        f"{_HARDWARE}test_a_controller_that_lost_its_power_is_found_and_switched_on_again",
+    ("unplug imu", "standing", "hardware"): f"{_HARDWARE}test_the_imu_is_unplugged_and_plugged_in_again",
+    ("unplug hdt/left_arm", "standing", "hardware"):
+        "tests/integration/test_hdt_arms.py::test_a_limb_that_is_unplugged_is_found_where_it_hangs",
+    ("kill hdt_driver", "arm on its way", "hardware"): _DRIVER,
+    ("kill hdt_bridge", "arm on its way", "hardware"): _DRIVER,
 }
-"""Tests of their own, beside the soak that draws every row at random: (event, activity, profile) → test."""
+# fmt: on
+"""Tests of their own, beside the soak that may draw any row: (event, activity, profile) → test."""
 
 
-def everything(events: Iterable[str], activities: Iterable[str]) -> list[str]:
-    """All rows: every process killed and stopped for 7 s, and what else happens, whatever the robot does."""
-    measured = [each for each in events if each.startswith("kill ") or each.endswith("7 s") or each in _BESIDES]
-    return [f"{activity}/{event}" for event in measured for activity in activities]
+_ALL = ("standing", "walking", "stepping", "arm on its way", "soft stop", "frozen", "fallen")
+_SOME = ("standing", "walking", "arm on its way", "fallen")
+_FEW = ("standing", "walking")
+_ON_FEET = ("standing",)
+MEASURED: Sequence[tuple[str, Sequence[str]]] = (
+    ("kill (motion|comms)_manager|stop (motion|comms)_manager 7 s", _ALL),
+    ("kill valor_ros_controller|stop valor_ros_controller 7 s", _SOME),
+    ("kill (bifrostd|bag_recorder|footstep_converter)", ("standing", "walking", "stepping")),
+    ("stop (bifrostd|bag_recorder|footstep_converter) 7 s", ("standing", "walking", "stepping")),
+    ("kill (hdt_driver|hdt_bridge)", ("standing", "arm on its way")),
+    ("kill device_emulators", _ON_FEET),
+    ("kill .* and .*", _FEW),
+    ("kill .* during up", _ON_FEET),
+    ("flood over .*", _SOME),
+    ("starved of CPU", ("standing", "walking", "stepping", "arm on its way")),
+    ("garbage bytes|malformed messages|wrong ROS messages", _FEW),
+    ("links of .* cut", ("standing", "walking", "frozen")),
+    ("unplug .*", _FEW),
+    ("full disk", _FEW),
+    ("memory of .* capped", _FEW),
+)
+"""Event (its whole name) → what the robot does meanwhile: rows worth an hour of measuring, the first that fits."""
 
 
-_BESIDES = ("starved of CPU", "flood over Bifrost", "flood over ROS", "garbage bytes", "malformed messages")
+def everything(events: Iterable[str]) -> list[str]:
+    """All rows that are measured, of the events that a profile has."""
+    rows = []
+    for event in events:
+        activities = next((each for name, each in MEASURED if re.fullmatch(name, event)), ())
+        rows += [f"{activity}/{event}" for activity in activities]
+    return rows
 
 
-def table(outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The lines of the table in Markdown."""
-    rows: dict[tuple[str, str, str], list[Mapping[str, Any]]] = defaultdict(list)
+def add(file: Path, profile: str, outcome: Outcome) -> None:
+    """Write a step down, as a line of JSON."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a") as lines:
+        lines.write(json.dumps(vars(outcome) | {"profile": profile, "load": os.getloadavg()[0]}) + "\n")
+
+
+def read(file: Path) -> list[dict[str, Any]]:
+    """What was written down; nothing yet: none."""
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+def to_do(file: Path | None, profile: str, wanted: Sequence[str], times: int) -> Iterator[tuple[str, int]]:
+    """Rows, and the how manieth time, until each was measured so often; those measured least come first."""
+    written = read(file) if file else []
+    done = Counter(f"{each['activity']}/{each['event']}" for each in written if each["profile"] == profile)
+    for time_ in range(times):
+        for row in wanted:
+            if done[row] <= time_:
+                yield row, time_
+                done[row] += 1
+
+
+def table(outcomes: Sequence[Mapping[str, Any]], profile: str) -> list[str]:
+    """The lines of a profile's table in Markdown: of each event a line for every way in which it ends."""
+    made: dict[str, dict[str, list[Mapping[str, Any]]]] = defaultdict(lambda: defaultdict(list))
     for each in outcomes:
-        rows[each["event"], each["activity"], each["profile"]].append(each)
-    lines = [HEAD, "|---|---|---|---|---|---|---|"]
-    for (event, activity, profile), made in sorted(rows.items()):
-        after = Counter(each["after"] or "not well within 60 s" for each in made)
-        then = ", ".join(name if count == len(made) else f"{name} {count}" for name, count in after.most_common())
-        ready = sorted(each["ready"] for each in made if not math.isnan(each["ready"]))
-        times = f"{median(ready):.1f}, {ready[-1]:.1f}" if ready else "–"
-        name = HELD_BY.get((event, activity, profile), SOAK).rpartition("::")
-        lines.append(f"| {event} | {activity} | {profile} | {then} | {times} | {len(made)} | `{name[2]}` |")
+        if (
+            each["profile"] == profile
+            and each["before"]
+            and any(re.fullmatch(name, each["event"]) for name, _ in MEASURED)
+        ):
+            made[each["event"]][each["activity"]].append(each)
+    lines = [HEAD, "|" + HEAD.count(" | ") * "---|" + "---|"]
+    for event in sorted(made):
+        alike: dict[str, list[str]] = defaultdict(list)
+        for activity in sorted(made[event], key=list(ACTIVITIES).index):
+            alike[verdict(made[event][activity])].append(activity)
+        lines += [_line(event, profile, then, {each: made[event][each] for each in alike[then]}) for then in alike]
     return lines
 
 
+def verdict(outcomes: Sequence[Mapping[str, Any]]) -> str:
+    """What the robot does, in a word; in several with how many times, where it was not always the same."""
+    words = Counter(_word(each) for each in outcomes)
+    return ", ".join(word if len(words) == 1 else f"{word} {count}" for word, count in words.most_common())
+
+
+def _word(outcome: Mapping[str, Any]) -> str:
+    before, after = outcome["before"], outcome["after"]
+    if not after:
+        return NOT_WELL
+    on = before == after or after in BY_ITSELF.get(before, ())
+    on = on and not outcome["event"].endswith("during up")
+    return GOES_ON if on else str(after)
+
+
+def _line(event: str, profile: str, then: str, made: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    robot = ", ".join(f"{activity} {len(outcomes)}" for activity, outcomes in made.items())
+    every = [each for outcomes in made.values() for each in outcomes]
+    ready = sorted(each["ready"] for each in every if not math.isnan(each["ready"]))
+    times = f"{median(ready):.1f}, {ready[-1]:.1f}" if ready else "–"
+    still = [each["moved"] for activity in made if ACTIVITIES[activity].held for each in made[activity]]
+    still = [] if "fall" in then.split() else [each for each in still if not math.isnan(each)]
+    moved = f"{max(still):.2f}" if still else "–"
+    return f"| {event} | {robot} | {then} | {moved} | {times} | {held_by(event, list(made), profile)} |"
+
+
+def held_by(event: str, activities: Sequence[str], profile: str) -> str:
+    """The tests of a line, each with what the robot does in it where that is not all of the line."""
+    tests: dict[str, list[str]] = defaultdict(list)
+    for activity in activities:
+        tests[HELD_BY.get((event, activity, profile), SOAK).rpartition("::")[2]].append(activity)
+    rest = [SOAK] if tests.pop(SOAK, None) else []
+    told = [f"`{name}`" + (f" ({' and '.join(of)})" if len(of) < len(activities) else "") for name, of in tests.items()]
+    return "; ".join([*told, *rest])
+
+
 if __name__ == "__main__":
-    print("\n".join(table(json.loads(Path(sys.argv[1]).read_text()))))
+    measured = read(Path(sys.argv[1]))
+    for each in sorted({outcome["profile"] for outcome in measured}, reverse=True):
+        print(f"### Profile `{each}`", "", *table(measured, each), "", sep="\n")

@@ -20,6 +20,13 @@ BY_ITSELF: Mapping[Behavior, frozenset[Behavior]] = {
     Behavior.GET_UP: frozenset({Behavior.STAND_PREP, Behavior.FALL}),
 }
 """Where the robot goes without being asked: the end of a plan, of the way up."""
+_WORLDS = ("comms_manager", "device_emulators")
+UNITS_NEEDED: Mapping[str, Behavior] = {
+    "legs/1": Behavior.FREEZE,
+    "imu": Behavior.FREEZE,
+    "force_torque/1": Behavior.SOFT_STOP,
+}
+"""Units without which no balance is kept → where the robot goes when they are unplugged; all others: nowhere."""
 _BALANCING = OPERATIONAL | {Behavior.SOFT_STOP}
 _PASSED = frozenset({Behavior.SOFT_STOP})
 """Passed through within one period, where a robot in Step or Walk is held after a gap of robot time."""
@@ -43,17 +50,26 @@ def outcomes(event: str, process: str, behavior: Behavior) -> frozenset[Behavior
     """Where the robot may be found after an event.
 
     Args:
-        event: kill, stop, or any other, from which nothing follows.
+        event: kill; stop; cap (of memory), which may end as either; cut (of links), which is as a short stop; up:
+            killed while coming up; unplug, of a unit; or any other, from which nothing follows.
         process: that it happens to; empty: to none.
         behavior: that it happens in.
     """
     stay = frozenset({behavior}) | BY_ITSELF.get(behavior, frozenset())
     fall = frozenset({Behavior.FALL})
+    if event == "cap":
+        return outcomes("kill", process, behavior) | outcomes("stop", process, behavior)
+    if event == "cut":
+        return outcomes("stop", process, behavior)
+    if event == "up":  # brought to Stand afterwards, or begun anew when it was there
+        return frozenset({Behavior.STAND, Behavior.FREEZE}) | (fall if process in _WORLDS else frozenset())
+    if event == "unplug":
+        return stay | ({UNITS_NEEDED[process]} if behavior in _BALANCING and process in UNITS_NEEDED else frozenset())
     if (event, process) == ("kill", "motion_manager"):
         return frozenset({RESUMED[behavior]}) | (fall if behavior in STEPPING else frozenset())
-    if event == "kill" and process in ("comms_manager", "device_emulators"):  # another world, or a gap
+    if event == "kill" and process in _WORLDS:  # another world, or a gap
         return (fall | {Behavior.FREEZE} if behavior in _BALANCING else frozenset({RESUMED[behavior]})) | stay
-    if event == "stop" and process in ("motion_manager", "comms_manager", "device_emulators"):
+    if event == "stop" and process in ("motion_manager", *_WORLDS):
         held = frozenset({Behavior.FREEZE} if behavior in _BALANCING | {Behavior.STAND_PREP} else ())
         return stay | held | (fall if behavior in STEPPING else frozenset())
     return stay

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import bifrost
 from tests.soak.activities import ACTIVITIES, Activity, Going
-from tests.soak.checks import GROWTH, growth, in_logs
-from tests.soak.events import Event, events
+from tests.soak.checks import GROWTH, growth, in_logs, unreadable
+from tests.soak.event import Event
+from tests.soak.events import events
 from tests.soak.rig import LOW, BrokenError, Rig
 from tests.soak.rules import STEPPING, outcomes
 from valor.common.errors import ValorError
@@ -20,7 +21,6 @@ HELD = 0.05  # that a joint may give way while its robot is held [rad]
 RECOVERED = 60.0  # in which everything must be ready again [s]
 FRESH = 0.5  # of a MotionState of a robot in somebody's hands [s]
 QUIET = 1.0  # for which mode and behavior must fit [robot time, s]
-_NEW_WORLD = ("comms_manager", "device_emulators")
 UPRIGHT = frozenset(Behavior) - {Behavior.FALL, Behavior.FREEZE, Behavior.IDLE, Behavior.GET_UP}
 
 
@@ -34,7 +34,7 @@ class Outcome:
         ready: from the end of the event until everything was ready again [s].
         last: what was waited for last.
         stands: from then until the robot stood, by commands [s]; NaN: another ``up`` was needed.
-        moved: the largest movement of a joint, until somebody commanded [rad].
+        moved: the largest movement of a joint, until somebody commanded [rad]; NaN: it is another robot.
         failures: what was not as it must be.
     """
 
@@ -65,13 +65,13 @@ class Soak:
         self._rig = rig
         self._missing = ""
         rig.up()
-        self.events = events(list(rig.pids()))
+        self._world = "device_emulators" if "device_emulators" in rig.pids() else "comms_manager"
+        self.events = events(list(rig.pids()), rig.own_disk)
 
     def choose(self, rng: random.Random) -> tuple[str, str]:
         """An activity and an event, by their weights."""
         activity = _weighted(rng, ((name, each.weight) for name, each in ACTIVITIES.items()))
-        feet = activity in ("standing", "arm on its way")
-        possible = ((name, each.weight) for name, each in self.events.items() if feet or not each.on_feet)
+        possible = ((name, each.weight) for name, each in self.events.items() if each.possible(activity))
         return activity, _weighted(rng, possible)
 
     def step(self, activity: str, event: str, rng: random.Random) -> Outcome:
@@ -96,23 +96,29 @@ class Soak:
         rig = self._rig
         before = rig.behavior
         outcome.before = before
-        pid = rig.pids().get(event.process, 0)
+        pids = rig.pids()
+        before_pids = {name: pids.get(name, 0) if event.kind == "kill" else 0 for name in event.hit}
         rig.tap.mark()
         outcome.failures += event.happen(rig, rng, event.process)
         ended = time.monotonic()
         self._missing = ""
         try:
-            rig.wait(lambda: self._recovered(event, pid, ended), "all well again", RECOVERED)
+            rig.wait(lambda: self._recovered(event, before_pids, ended), "all well again", RECOVERED)
         finally:
             outcome.last = self._missing
         outcome.ready = time.monotonic() - ended
         self._quiet()
         outcome.after = rig.behavior
         joint, outcome.moved = rig.tap.moved()
-        if not event.commands and rig.behavior not in (allowed := outcomes(event.kind, event.process, before)):
+        allowed = frozenset[Behavior]().union(*(outcomes(event.kind, name, before) for name in event.hit or ("",)))
+        if not event.commands and rig.behavior not in allowed:
             outcome.failures.append(f"{rig.behavior} ({self._reason()}); expected {', '.join(sorted(allowed))}")
-        another_world = event.kind == "kill" and event.process in _NEW_WORLD
-        if event.kind and activity.held and before not in STEPPING and not another_world and outcome.moved > HELD:
+        if event.kind == "up" or (event.kind in ("kill", "cap") and self._world in event.hit):  # another robot
+            outcome.moved = float("nan")
+        holds = (
+            activity.held and before not in STEPPING and event.kind not in ("", "unplug")
+        )  # without power nothing does
+        if holds and outcome.moved > HELD:
             outcome.failures.append(f"{joint} moved {outcome.moved:.3f} rad")
         if rig.behavior is Behavior.FALL and not rig.system.status()["fallen"]:
             outcome.failures.append("has fallen, and `valorctl status` does not say so")
@@ -122,9 +128,9 @@ class Soak:
     def _reason(self) -> str:
         return self._rig.tap.state.reason if self._rig.tap.state else ""
 
-    def _recovered(self, event: Event, pid: int, since: float) -> bool:
+    def _recovered(self, event: Event, hit: Mapping[str, int], since: float) -> bool:
         rig = self._rig
-        unready = rig.unready(event.process if event.kind else "", pid if event.kind == "kill" else 0, since)
+        unready = rig.unready(hit if event.kind else {}, since)
         lost = [] if time.monotonic() - rig.tap.heard < FRESH else ["MotionState"]
         lost += ["the reflex"] if rig.tap.reflex else []
         unfit = [] if rig.modes.fit(rig.tap.mode, rig.behavior) or event.commands else [f"mode {rig.tap.mode}"]
@@ -158,7 +164,9 @@ class Soak:
     def close(self) -> list[str]:
         """Take the system down; returns what was not as it must be over all of its life."""
         rig = self._rig
-        found = rig.down() + in_logs(rig.instance.logs)
+        found = rig.down() + [each for each in in_logs(rig.instance.logs) if each.partition(".")[0] not in rig.excused]
+        rig.excused.clear()
+        found += unreadable(rig.instance.bags)
         for (name, pid), samples in rig.memory.items():
             if (grown := growth(samples)) > GROWTH:
                 found.append(f"{name} ({pid}) grew by {grown:.1f} MiB")

@@ -14,9 +14,18 @@ import numpy as np
 import bifrost
 from tests.soak.checks import MotorChecks, StateChecks
 from valor.common.instance import Instance
-from valor.common.messages import REFLEX, ControlModeReport, GroundTruth, MotionState, Motor, Proprioceptor, Statistics
+from valor.common.messages import (
+    REFLEX,
+    ControlModeReport,
+    DeviceStatus,
+    GroundTruth,
+    MotionState,
+    Motor,
+    Proprioceptor,
+    Statistics,
+)
 from valor.common.robot import RobotDescription
-from valor.common.topics import CONTROL_MODE, GROUND_TRUTH, MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
+from valor.common.topics import CONTROL_MODE, DEVICES, GROUND_TRUTH, MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
 
 QUEUE = 20_000  # messages that a busy computer may leave here unread
 _TURN = 0.02  # between looks [s]
@@ -42,6 +51,8 @@ class Tap:
         reflex: the Motion Manager stands aside for the Comms Manager's reflex.
         height: of the pelvis above the world's origin, in truth [m].
         changes: behaviors in order, each with its reason.
+        unwell: units of devices that are not well.
+        told: when the newest MotionState was published [monotonic, s].
     """
 
     def __init__(self, instance: Instance, robot: RobotDescription) -> None:
@@ -56,7 +67,8 @@ class Tap:
         self.reflex = False
         self.height = float("nan")
         self.changes: list[tuple[str, str]] = []
-        self.heard = 0.0
+        self.heard = self.told = 0.0
+        self.unwell: list[str] = []
         self._position: np.ndarray[Any, np.dtype[np.float64]] | None = None
         self._reference: np.ndarray[Any, np.dtype[np.float64]] | None = None
         self._moved = np.zeros(len(robot.joints))
@@ -66,6 +78,7 @@ class Tap:
             (subscribe(MOTION_STATE.name, MotionState, queue=QUEUE), self._hear_state),
             (subscribe(PROPRIOCEPTOR.name, Proprioceptor, queue=QUEUE), self._hear_proprioceptor),
             (subscribe(CONTROL_MODE.name, ControlModeReport, queue=QUEUE), self._hear_mode),
+            (subscribe(DEVICES.name, DeviceStatus, queue=QUEUE), self._hear_devices),
             (subscribe(GROUND_TRUTH.name, GroundTruth, queue=QUEUE), self._hear_truth),
             *((subscribe(topic.name, Statistics, queue=QUEUE), self._hear_word) for topic in STATISTICS.values()),
         ]
@@ -101,6 +114,13 @@ class Tap:
             farthest = int(np.argmax(np.where(np.isfinite(self._robot.upper), self._moved, 0.0)))
             return self._robot.joints[farthest], float(self._moved[farthest])
 
+    def strayed(self, far: float) -> bool:
+        """Whether a joint has moved so far since the mark, or since this was last so [rad]."""
+        if self.moved()[1] > far:
+            self.mark()
+            return True
+        return False
+
     def take_faults(self) -> list[str]:
         """What was found since the last call."""
         with self._lock:
@@ -127,7 +147,7 @@ class Tap:
         state = received.message
         if self.state is None or state.behavior != self.state.behavior:
             self.changes.append((state.behavior, state.reason))
-        self.state, self.heard = state, time.monotonic()
+        self.state, self.heard, self.told = state, time.monotonic(), received.stamp * 1e-9
         return self._state_checks.find(state)
 
     def _hear_proprioceptor(self, received: bifrost.Received[Proprioceptor]) -> None:
@@ -137,6 +157,10 @@ class Tap:
 
     def _hear_mode(self, received: bifrost.Received[ControlModeReport]) -> None:
         self.mode = received.message.current_control_mode
+
+    def _hear_devices(self, received: bifrost.Received[DeviceStatus]) -> None:
+        status = received.message
+        self.unwell = [unit for unit, state in zip(status.units, status.states, strict=True) if state != "ok"]
 
     def _hear_truth(self, received: bifrost.Received[GroundTruth]) -> None:
         self.height = float(received.message.pelvis_position_in_world[2])

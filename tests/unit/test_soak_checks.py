@@ -9,13 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 
 from tests.conftest import ROBOTS
 from tests.soak import checks, rules
 from tests.unit.motion_states import motion_state
 from valor.common.messages import Motor
 from valor.common.robot import RobotDescription
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, RESUMED, Behavior
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, OPERATIONAL, RESUMED, Behavior
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 
@@ -129,6 +130,22 @@ def test_a_crash_is_found_in_logs(tmp_path: Path, word: str) -> None:
     assert len(checks.in_logs(tmp_path)) == 1
 
 
+def test_a_bag_that_was_not_finished_is_found_and_one_that_cannot_be_read(tmp_path: Path) -> None:
+    with (tmp_path / "whole.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/a", "cdr", writer.register_schema("a", "ros2msg", b""))
+        for stamp in range(1000):
+            writer.add_message(channel, stamp, b"x" * 1000, stamp)
+        writer.finish()
+    assert checks.unreadable(tmp_path) == []
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "no.mcap").write_text("no bag")
+    found = checks.unreadable(tmp_path)
+    assert found[0] == "cut.mcap was left unfinished" and "no.mcap" in found[1] and len(found) == 2
+
+
 def test_an_end_that_nobody_caused_is_found() -> None:
     assert checks.unexpected_ends({"a": 2}, {"a": 2}) == []
     assert checks.unexpected_ends({"a": 3}, {"a": 2}) == ["a ended 1 times by itself"]
@@ -141,6 +158,16 @@ def test_every_kill_has_outcomes_by_the_tables(behavior: Behavior) -> None:
     assert (Behavior.FALL in after) == (behavior in rules.STEPPING or RESUMED[behavior] is Behavior.FALL)
     assert behavior in rules.outcomes("kill", "bag_recorder", behavior)
     assert rules.outcomes("", "", Behavior.STAND) == {Behavior.STAND}
+
+
+@pytest.mark.parametrize("behavior", Behavior)
+def test_what_may_end_in_two_ways_has_the_outcomes_of_both(behavior: Behavior) -> None:
+    for process in ("motion_manager", "comms_manager", "bag_recorder"):
+        both = {*rules.outcomes("kill", process, behavior), *rules.outcomes("stop", process, behavior)}
+        assert rules.outcomes("cap", process, behavior) == both
+    assert behavior in rules.outcomes("unplug", "hdt/left_arm", behavior)
+    needed = rules.outcomes("unplug", "imu", behavior)
+    assert (Behavior.FREEZE in needed) == (behavior in {*OPERATIONAL, Behavior.SOFT_STOP, Behavior.FREEZE})
 
 
 def test_the_way_is_one_of_edges() -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,6 +13,7 @@ from tests.conftest import REPOSITORY
 from tests.soak import rows, rules
 from tests.soak.activities import ACTIVITIES
 from tests.soak.events import events
+from tests.soak.run import Outcome
 from valor.common.processes import BY_NAME
 from valor.motion_manager.behaviors import Behavior
 from valor.valorctl.profile import Profile
@@ -25,49 +27,109 @@ DURING: Mapping[str, frozenset[Behavior]] = {
     "frozen": frozenset({Behavior.FREEZE}),
     "fallen": frozenset({Behavior.FALL}),
 }
-TABLE = re.findall(r"^\| (.+) \|$", (REPOSITORY / "docs" / "reliability.md").read_text(), re.MULTILINE)
-MEASURED = [line.split(" | ") for line in TABLE if line.count(" | ") == rows.HEAD.count(" | ")][1:]
+TEXT = (REPOSITORY / "docs" / "reliability.md").read_text()
+WORDS = {rows.GOES_ON, rows.NOT_WELL, *Behavior}
 
 
-@cache
-def defined() -> set[str]:
-    """Names of all tests."""
-    files = (REPOSITORY / "tests").rglob("test_*.py")
-    return {name for file in files for name in re.findall(r"^def (test_\w+)", file.read_text(), re.MULTILINE)}
+def measured() -> Iterator[tuple[str, list[str]]]:
+    """Profile and cells of each line of the tables."""
+    for part in TEXT.split("### Profile `")[1:]:
+        profile = part.partition("`")[0]
+        for line in re.findall(r"^\| (.+) \|$", part, re.MULTILINE)[1:]:
+            yield profile, line.split(" | ")
+
+
+MEASURED = list(measured())
 
 
 def test_there_is_something_to_read() -> None:
-    assert len(MEASURED) > 1
+    assert {profile for profile, _ in MEASURED} == {"sim", "hardware"}
+    assert all(len(cells) == rows.HEAD.count(" | ") + 1 for _, cells in MEASURED)
 
 
-@pytest.mark.parametrize("row", MEASURED, ids=lambda row: "/".join(row[:3]))
-def test_every_row_is_one_that_the_soak_knows_and_allows(row: list[str]) -> None:
-    event, activity, profile, then, _, _, test = row
-    assert activity in ACTIVITIES
-    known = events(Profile.load(REPOSITORY / "deploy" / f"{profile}.yaml").processes)
-    assert event in known
+@pytest.mark.parametrize(("profile", "cells"), MEASURED, ids=lambda each: each if isinstance(each, str) else each[0])
+def test_every_line_tells_what_the_soak_knows_and_allows(profile: str, cells: list[str]) -> None:
+    event, robot, then, _, _, held = cells
+    known = events(Profile.load(REPOSITORY / "deploy" / f"{profile}.yaml").processes, own_disk=True)
     what = known[event]
-    before = DURING[activity]
-    allowed = frozenset().union(*(rules.outcomes(what.kind, what.process, each) for each in before))
-    assert {Behavior(each.split()[0]) for each in then.split(", ")} <= allowed
-    assert test.strip("`") in defined()
+    activities = [each.rpartition(" ")[0] for each in robot.split(", ")]
+    words = {re.sub(r" \d+$", "", each) for each in then.split(", ")}
+    assert words <= WORDS
+    for activity in activities:
+        before = DURING[activity]
+        hit = what.hit or ("",)
+        allowed = {str(after) for each in before for name in hit for after in rules.outcomes(what.kind, name, each)}
+        assert words - {rows.GOES_ON} <= allowed
+    assert held == rows.held_by(event, activities, profile)
 
 
 def test_every_activity_has_its_behaviors() -> None:
     assert set(DURING) == set(ACTIVITIES)
-    assert set(BY_NAME) >= {each.process for each in events([]).values() if each.kind}
+    assert set(BY_NAME) >= {
+        name for each in events([], own_disk=True).values() if each.kind not in ("", "unplug") for name in each.hit
+    }
+
+
+def made(activity: str, before: str, after: str, ready: float, moved: float = 0.0) -> dict[str, Any]:
+    return {"event": "wrong ROS messages", "activity": activity, "profile": "sim", "before": before, "after": after} | {
+        "ready": ready,
+        "moved": moved,
+    }
 
 
 def test_the_table_counts_and_takes_the_middle_and_the_worst() -> None:
-    made = [
-        {"event": "push", "activity": "standing", "profile": "sim", "after": after, "ready": ready}
-        for after, ready in (("stand", 1.0), ("stand", 3.0), ("fall", 2.0), ("", float("nan")))
+    outcomes = [
+        made("standing", "stand", "stand", 1.0),
+        made("standing", "stand", "stand", 3.0),
+        made("standing", "stand", "fall", 2.0),
+        made("standing", "stand", "", float("nan")),
     ]
-    *_, line = rows.table(made)
-    assert "| stand 2, fall 1, not well within 60 s 1 | 2.0, 3.0 | 4 |" in line
+    *_, line = rows.table(outcomes, "sim")
+    assert (
+        line == "| wrong ROS messages | standing 4 | goes on 2, fall 1, not well within 60 s 1 | – | 2.0, 3.0 | soak |"
+    )
+
+
+def test_what_ends_alike_is_one_line_and_what_does_not_is_two() -> None:
+    outcomes = [
+        made("standing", "stand", "stand", 1.0, 0.02),
+        made("walking", "walk", "walk", 2.0, 3.0),
+        made("stepping", "step", "stand", 2.0, 3.0),  # the plan has come to its end
+        made("frozen", "freeze", "fall", 4.0, 3.0),
+    ]
+    *_, first, second = rows.table(outcomes, "sim")
+    assert first == "| wrong ROS messages | standing 1, walking 1, stepping 1 | goes on | 0.02 | 2.0, 2.0 | soak |"
+    assert second == "| wrong ROS messages | frozen 1 | fall | – | 4.0, 4.0 | soak |"
+
+
+def test_a_line_says_what_of_it_a_test_holds() -> None:
+    event, test = "kill motion_manager", "test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
+    assert rows.held_by(event, ["standing", "frozen"], "sim") == f"`{test}`"
+    assert rows.held_by(event, ["standing", "soft stop", "frozen"], "sim") == f"`{test}` (standing and frozen); soak"
+    assert rows.held_by("push", ["standing"], "sim") == "soak"
+
+
+def test_what_was_measured_least_comes_first_and_what_was_measured_enough_not_again(tmp_path: Path) -> None:
+    file = tmp_path / "measured.jsonl"
+    for activity in ("standing", "standing", "walking"):
+        rows.add(file, "sim", Outcome(activity, "push"))
+    rows.add(file, "hardware", Outcome("walking", "push"))
+    wanted = ["standing/push", "walking/push", "frozen/push"]
+    again = [row for row, _ in rows.to_do(file, "sim", wanted, 2)]
+    assert again == ["frozen/push", "walking/push", "frozen/push"]
+
+
+def test_every_row_to_measure_is_of_the_tables() -> None:
+    for profile in ("sim", "hardware"):
+        known = events(Profile.load(REPOSITORY / "deploy" / f"{profile}.yaml").processes, own_disk=True)
+        for row in rows.everything(known):
+            activity, _, event = row.partition("/")
+            assert activity in ACTIVITIES and event in known
+        for name, _ in rows.MEASURED:
+            assert profile == "sim" or any(re.fullmatch(name, event) for event in known), name
 
 
 def test_tests_that_hold_rows_exist() -> None:
-    for name in (*rows.HELD_BY.values(), rows.SOAK):
+    for name in rows.HELD_BY.values():
         file, _, test = name.partition("::")
         assert f"def {test}(" in (REPOSITORY / file).read_text()
