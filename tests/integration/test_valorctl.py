@@ -389,7 +389,11 @@ def test_an_interrupted_up_leaves_nothing(ctl: Cli, signum: signal.Signals) -> N
     [
         ("robot.yaml", ("l_foot, sole: l_sole", "l_foot, sole: l_gripper"), ["robot.yaml:15:", "feet.left.sole"]),
         ("model.xml", ("<worldbody>", "<worldbody><nobody/>"), ["model.xml"]),
-        ("get_up.yaml", ("face_down:", "face_up:"), ["motion_manager did not start", "get_up.yaml", "face_up"]),
+        (
+            "get_up.yaml",
+            ("face_down:", "face_up:"),
+            ["motion_manager did not start: ended, exit status 78", "get_up.yaml", "face_up"],
+        ),
     ],
 )
 def test_a_failed_up_says_why_and_leaves_nothing(
