@@ -1,4 +1,4 @@
-"""Which Motor the devices obey: the newest sound one, until Motor is silent; the reflex' own, where a robot stepped."""
+"""Which Motor is obeyed: the newest sound one, until Motor is silent."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ import math
 import time
 
 import bifrost
-from valor.common.messages import REFLEX, JointMode, Motor, Proprioceptor
+from valor.common.messages import JointMode, Motor, Proprioceptor
 from valor.common.robot import RobotDescription
-from valor.comms_manager.latch import BehaviorLatch
-from valor.comms_manager.reflex import Reflex
+from valor.comms_manager.leader import Leader
 
 COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
 MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held
@@ -31,26 +30,14 @@ class Commands:
     Motion Manager that began before the one obeyed last.
 
     Attributes:
-        motor: the one in force; None before the first.
-        admitted: how many were admitted, so that a user sees whether ``motor`` is new.
-        abandoned: Motor came, and then no more.
-        silent: nor does the reflex make any. The joints are to be held where they are, or left ``limp``.
-        limp: the last Motor asked for no force but damping: it goes on acting while Motor is silent.
+        leader: has the Motor in force, and who leads the robot when none comes.
         refused: how many were refused.
         waits_timed_out: how often ``wait`` gave up.
     """
 
-    def __init__(
-        self,
-        subscriber: bifrost.Subscriber[Motor],
-        robot: RobotDescription,
-        latch: BehaviorLatch,
-        reflex: Reflex,
-    ) -> None:
-        """``latch`` is told the behavior of every Motor that is admitted; ``reflex`` leads a robot left stepping."""
+    def __init__(self, subscriber: bifrost.Subscriber[Motor], robot: RobotDescription, leader: Leader) -> None:
+        self.leader = leader
         self._subscriber = subscriber
-        self._latch, self._reflex = latch, reflex
-        self._state: Proprioceptor | None = None
         self._length = len(robot.joints)
         self._max_age = round(COMMAND_TIMEOUT * robot.tables.control_rate)
         self._first = self._current = 0
@@ -59,9 +46,6 @@ class Commands:
         self._writer = 0
         self._misses = 0
         self._logged: dict[str, float] = {}
-        self.motor: Motor | None = None
-        self.admitted = 0
-        self.abandoned = self.limp = False
         self.refused = 0
         self.waits_timed_out = 0
 
@@ -72,22 +56,19 @@ class Commands:
             state: it.
             demand: of the devices, as ``DeviceStatus.reaction`` has it.
         """
+        leader = self.leader
         self._first = self._first or state.sequence
-        self._state, self._current, self._time = state, state.sequence, state.time
-        if self.motor is not None and not self.abandoned:
+        self._current, self._time = state.sequence, state.time
+        leader.measured(state)
+        if leader.motor is not None and not leader.abandoned:
             if self._time - self._admitted_at > COMMAND_TIMEOUT * 1e9:
-                self._fall_silent(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
+                leader.abandon(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
             elif self.age > ABSENCE and not self._subscriber.publishers:
-                self._fall_silent("nobody publishes Motor any more")
-        if self._reflex.active:
+                leader.abandon("nobody publishes Motor any more")
+        if leader.balancing:
             self.take()
-        if self._reflex.active:
-            self._react(state, demand)
-
-    @property
-    def silent(self) -> bool:
-        """Nobody drives the joints."""
-        return self.abandoned and not self._reflex.active
+        if leader.answer(demand):
+            self._answered = state.sequence
 
     @property
     def age(self) -> int:
@@ -111,20 +92,21 @@ class Commands:
         It is silent at once if its publisher is gone: a slow controller is waited for, a dead one is not.
         """
         deadline = time.perf_counter() + timeout
-        while self.motor is None or self.age > age:
+        leader = self.leader
+        while leader.motor is None or self.age > age:
             remaining = deadline - time.perf_counter()
             if remaining <= 0.0:
-                if self.motor is not None:
+                if leader.motor is not None:
                     self.waits_timed_out += 1
                     self._misses += 1
                     if self._misses >= MISSES_TO_SILENCE:
-                        self._fall_silent(f"{self._misses} waits of {timeout:g} s for a Motor timed out")
+                        leader.abandon(f"{self._misses} waits of {timeout:g} s for a Motor timed out")
                 return False
             received = self._subscriber.receive(timeout=min(remaining, _LOOK_EVERY))
             if received is not None:
                 self._consider(received.message, received.origin)
-            elif self.motor is not None and not self._subscriber.publishers:
-                self._fall_silent("nobody publishes Motor any more")
+            elif leader.motor is not None and not self._subscriber.publishers:
+                leader.abandon("nobody publishes Motor any more")
                 return False
         self._misses = 0
         return True
@@ -135,9 +117,9 @@ class Commands:
         For a robot whose time passes by itself: Motor is silent when none has come for the time-out, whatever was
         waited for.
         """
-        before = self.admitted
+        before = self.leader.admitted
         self.take()
-        if self.admitted == before and timeout > 0.0:
+        if self.leader.admitted == before and timeout > 0.0:
             received = self._subscriber.receive(timeout=timeout)
             if received is not None:
                 self._consider(received.message, received.origin)
@@ -145,11 +127,11 @@ class Commands:
     @property
     def answered(self) -> bool:
         """Whether the Motor in force answers the newest state."""
-        return self.motor is not None and self.age <= 0
+        return self.leader.motor is not None and self.age <= 0
 
     def _consider(self, motor: Motor, origin: str) -> None:
-        """Admit a Motor, or count and log why not; those of one that stands aside for the reflex are passed over."""
-        if motor.behavior == REFLEX or (self._reflex.active and not self._reflex.yields_to(motor)):
+        """Admit a Motor, or count and log why not; those that may not lead the robot now are passed over."""
+        if not self.leader.hears(motor):
             return
         if reason := self._fault(motor):
             self.refused += 1
@@ -158,19 +140,11 @@ class Commands:
             if now - self._logged.get(kind, -_LOG_EVERY) >= _LOG_EVERY:
                 self._logged[kind] = now
                 _log.warning("Motor from %s refused: %s (%d refused since start)", origin, reason, self.refused)
-            return
-        if self._reflex.active:
-            self._reflex.leave(f"Motor from {origin} lets the robot go")
-        self.motor = motor
-        self.admitted += 1
-        self._answered = motor.proprioceptor_sequence
-        self._admitted_at = self._time
-        self._writer = motor.writer
-        self._latch.update(motor.behavior)
-        if self.abandoned:
-            self.abandoned = self.limp = False
+        elif self.leader.follow(motor, origin):
+            self._answered = motor.proprioceptor_sequence
+            self._admitted_at = self._time
+            self._writer = motor.writer
             self._misses = 0
-            _log.info("Motor from %s again; the joints obey it", origin)
 
     def _fault(self, motor: Motor) -> str:
         """Why a Motor is not obeyed; empty if it is."""
@@ -181,7 +155,7 @@ class Commands:
             return f"of an older Motion Manager: began at {motor.writer} ns, the one obeyed at {self._writer} ns"
         if answers < self._answered:
             return f"older than the one in force: answers {answers}, {self._answered} is answered"
-        if self.motor is not None and self._current - answers > self._max_age:
+        if self.leader.motor is not None and self._current - answers > self._max_age:
             return f"too old: answers {answers}, now is {self._current}, at most {self._max_age} periods are allowed"
         n, mode = self._length, motor.mode
         position, velocity, effort = motor.position, motor.velocity, motor.effort
@@ -198,37 +172,3 @@ class Commands:
         if stiffness.min() < 0.0 or damping.min() < 0.0:
             return "negative gain: stiffness or damping"
         return ""
-
-    def _fall_silent(self, why: str) -> None:
-        if self.abandoned or self.motor is None or self._state is None:
-            return
-        self.abandoned = True
-        if self._reflex.begin(self._latch.behavior, self.motor, self._state):
-            _log.warning("%s: the robot, left in %s, is brought to stand", why, self._latch.behavior)
-        else:
-            self._rest(why)
-
-    def _react(self, state: Proprioceptor, demand: str) -> None:
-        """The reflex answers a state, in place of the Motion Manager."""
-        motor = self._reflex.update(state, demand)
-        if motor is not None:
-            self.motor = motor
-            self.admitted += 1
-            self._answered = state.sequence
-            if motor.behavior != REFLEX:
-                self._latch.update(motor.behavior)
-        if not self._reflex.active:
-            self._rest("the balance reflex has ended")
-
-    def _rest(self, why: str) -> None:
-        """Nobody drives the joints from now on."""
-        self.limp = self.motor is not None and not drives(self.motor)
-        _log.warning("%s: the joints %s", why, "stay limp" if self.limp else "are held where they are")
-
-
-def drives(motor: Motor) -> bool:
-    """Whether a Motor can move a joint that is at rest: all but damping, and motors that are off."""
-    servo = motor.mode == JointMode.POSITION
-    spring = (motor.mode == JointMode.IMPEDANCE) & (motor.stiffness > 0.0)
-    force = (motor.mode != JointMode.OFF) & (motor.effort != 0.0)
-    return bool((servo | spring | force).any())

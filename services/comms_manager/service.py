@@ -6,17 +6,19 @@ import time
 from collections import deque
 
 import bifrost
-from valor.common.floods import STREAM
-from valor.common.messages import REFLEX, ClockStatus, Motor, Proprioceptor
+from valor.common.floods import REQUESTS, STREAM
+from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, Motor, Proprioceptor
 from valor.common.service import Context, quiet_collector
-from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR
+from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR, STOP
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import AT_ONCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
-from valor.comms_manager.reflex import Reflex
+from valor.comms_manager.leader import Leader
+from valor.motion_manager.reflex import BalanceReflex
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
+STOPS_AT_ONCE = 2  # requests that a period answers, at most
 
 
 class CommsManager:
@@ -30,9 +32,10 @@ class CommsManager:
         self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
         self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
         motors = node.subscriber(MOTOR.name, Motor, queue=AT_ONCE, limit=STREAM)
-        self._statistics.watch((motors,))
-        self._reflex = Reflex(context.robot)
-        self._commands = Commands(motors, context.robot, self._latch, self._reflex)
+        self._leader = Leader(BalanceReflex(context.robot), self._latch)
+        self._stop = node.server(STOP.name, BehaviorRequest, BehaviorReply, self._leader.stop, REQUESTS)
+        self._statistics.watch((motors, self._stop))
+        self._commands = Commands(motors, context.robot, self._leader)
         self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
         self._backend = make_backend(context)
         # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier
@@ -53,6 +56,7 @@ class CommsManager:
             state = self._measure()
             trace.mark(Stage.MEASURE)
             backend.attend()
+            self._stop.serve(STOPS_AT_ONCE)
             self._clock.update(backend, commands, state.time)
             statistics.rejected, statistics.drops = commands.refused, commands.drops
             statistics.cycle(began, waited)
@@ -75,8 +79,9 @@ class CommsManager:
             self._publish(state)
             self._statistics.state("ready", "robot time begins with the first Motor")
             self._backend.attend()
+            self._stop.serve(STOPS_AT_ONCE)
             self._clock.update(self._backend, self._commands, state.time)
-            if self._commands.wait(STAND_BY_PERIOD):
+            if self._commands.wait(STAND_BY_PERIOD) or self._leader.abandoned:
                 self._statistics.state("ready")
                 return
             self._statistics.rejected = self._commands.refused
@@ -85,7 +90,7 @@ class CommsManager:
     def _measure(self) -> Proprioceptor:
         self._sequence += 1
         state = self._backend.measure(self._sequence)
-        state.motor_behavior = REFLEX if self._reflex.active else self._latch.behavior
+        state.motor_behavior = self._leader.behavior
         return state
 
     def _publish(self, state: Proprioceptor) -> None:
@@ -130,6 +135,6 @@ class ClockReport:
                 real_time_factor=(robot_time - robot_before) * 1e-9 / elapsed if elapsed > 0 else 0.0,
                 slip=backend.slip,
                 waits_timed_out=commands.waits_timed_out,
-                holding=commands.silent,
+                holding=commands.leader.silent,
             )
         )

@@ -151,8 +151,16 @@ WAY_BACK: Mapping[Behavior, tuple[Behavior, ...]] = {
     _B.IDLE: (),
     _B.FREEZE: (_B.FREEZE,),
     _B.FALL: (_B.FREEZE, _B.FALL),
+    _B.SOFT_STOP: (_B.STAND_PREP, _B.STAND, _B.SOFT_STOP),
 }
-"""From Idle, where the process begins, to a behavior of ``RESUMED``, by edges of the table and within one period."""
+"""From Idle, where the process begins, to a behavior of ``RESUMED``, by edges of the table and within one period; and
+to Soft Stop, where it stands aside for a reflex that does just that."""
+
+WAYS_TO: Mapping[Behavior, tuple[tuple[Behavior, ...], ...]] = {
+    _B.FALL: ((_B.FALL,), (_B.FREEZE, _B.FALL)),
+    _B.FREEZE: ((_B.FREEZE,), (_B.SOFT_STOP, _B.FREEZE), (_B.FALL, _B.FREEZE)),
+}
+"""What the Comms Manager obeys when no Motion Manager does, and how one follows: the first way that can be begun."""
 
 JOINT_ACCESS: Mapping[type[StrEnum], tuple[str, ...]] = {
     Locomotion: ("left_leg", "right_leg"),

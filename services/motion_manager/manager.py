@@ -8,26 +8,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from math import acos, degrees
 
 import numpy as np
 
-from valor.common.messages import REFLEX, MotionState, Motor, Proprioceptor
+from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.model import Model
 from valor.common.robot import FloatVector, RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.behaviors import (
     BALANCING,
-    INTERNAL_STATES,
     RECOVERING,
-    RESUMED,
-    WAY_BACK,
     Behavior,
     Locomotion,
     Manipulation,
 )
 from valor.motion_manager.command import MotorCommand
+from valor.motion_manager.custody import BROUGHT_TO_STAND, Custody
 from valor.motion_manager.device_reactions import DeviceReactions
 from valor.motion_manager.get_up import GetUp
 from valor.motion_manager.hand_contact import HandContacts
@@ -43,8 +40,9 @@ from valor.motion_manager.joint_gains import JointGains
 from valor.motion_manager.joint_reference import JointReference
 from valor.motion_manager.posture_control import AT_REST, PostureControl
 from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.stance import Stance
 from valor.motion_manager.upper_body import UpperBody
-from valor.motion_manager.watchdogs import Gap, ProprioceptorWatchdog
+from valor.motion_manager.watchdogs import ProprioceptorWatchdog
 from valor.motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,
@@ -63,11 +61,6 @@ from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 BLEND = 0.3  # over which the Whole-Body Controller takes the joints over [s]
 FAULTS_TO_FALL = 5  # consecutive periods without a believable Proprioceptor, or with an error of ours
 QP_FAILURES_TO_STOP = 25  # consecutive
-UPRIGHT = 0.5  # of the tilt at which the robot counts as falling: at most so much to stand
-FOOT_LOAD = 0.15  # of the robot's weight: at least so much on each foot to stand
-FEET_LOAD = 0.6  # likewise on both together
-
-_ASIDE = "the Comms Manager brings the robot to stand, whose Motion Manager fell silent"
 
 _log = logging.getLogger("motion_manager")
 
@@ -86,31 +79,27 @@ class MotionManager:
         hand_goals: Cartesian goals of the hands; hand_goal_handler: obeys or refuses them.
         tuning_handler: obeys or refuses joint gains and balance weights.
         device_reactions: goes to safer behaviors when devices fail.
-        in_control: whether a believable Proprioceptor has been answered.
-        silent: set by the loop: why no Proprioceptor comes, or an empty text.
-        aside: that the Comms Manager's reflex has the robot; an empty text: it has not.
+        custody: whether the robot is ours to lead.
     """
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         n = len(robot.joints)
         self.fsm = BehaviorFsm()
         self.rejections = Rejections()
-        self.in_control = False
-        self.silent = ""
-        self._robot = robot
         self._dt = robot.control_period
         self._zeros = np.zeros(max(n, 3))
         self._estimator = FloatingBaseEstimator(robot, model)
         self._detector = FallDetector(robot)
         self._controller = WholeBodyController(robot, model)
-        self._weight = self._estimator.dynamics.mass * self._estimator.dynamics.gravity
+        self._stance = Stance(robot, self._estimator.dynamics.mass * self._estimator.dynamics.gravity)
+        self.custody = Custody(self.fsm, self._stance, self._swings)
         self._watchdog = ProprioceptorWatchdog(n)
         self._command = MotorCommand(robot)
         self._reference = JointReference(robot)
         self._posture = PostureControl(robot, self._reference, self._command)
         self._upper_body = UpperBody(robot, self._reference)
         self._get_up = GetUp(robot)
-        self.behavior_handler = BehaviorHandler(self.fsm, self.rejections, self.conditions, self.out_of_control)
+        self.behavior_handler = BehaviorHandler(self.fsm, self.rejections, self.conditions, self.custody.refusal)
         self.hand_goals = HandGoals(model, self._reference, robot.nominal_posture)
         self.hand_goal_handler = HandGoalHandler(self.fsm, self.hand_goals, self.rejections)
         self._gains = JointGains(robot, self._command.impedance)
@@ -145,8 +134,6 @@ class MotionManager:
         self._sequence = 0
         self._proprioceptor_sequence = 0
         self._time = 0
-        self._taken_over = 0  # robot time at which this world came into our hands [ns]
-        self.aside = ""
         self._errors = 0  # consecutive
         self._qp_failures = 0  # consecutive
 
@@ -156,11 +143,6 @@ class MotionManager:
     def time(self) -> int:
         """Robot time [ns]."""
         return self._time
-
-    @property
-    def taken_over(self) -> int:
-        """Robot time since when the robot has been in our hands without a break [ns]."""
-        return self._taken_over
 
     @property
     def missed(self) -> int:
@@ -179,10 +161,10 @@ class MotionManager:
                 _log.exception("error in a control period; the last command goes on with damping")
             self._repeat(proprioceptor)
             if self._errors >= FAULTS_TO_FALL:
-                self._fall("errors of the Motion Manager, see its log")
+                self.custody.fall("errors of the Motion Manager, see its log")
         self._sequence += 1
         self._proprioceptor_sequence = proprioceptor.sequence
-        behavior = REFLEX if self.aside else self.fsm.behavior
+        behavior = self.custody.announced(self._time)
         return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, behavior)
 
     def conditions(self) -> Conditions:
@@ -197,17 +179,11 @@ class MotionManager:
         stepping = "the robot has not come to rest from stepping yet" if self._controller.stepping else ""
         return Conditions(
             not_prepared,
-            self._not_loaded(state),
-            self._not_upright(state) or self._falling,
+            self._stance.not_loaded(state),
+            self._stance.not_upright(state) or self._falling,
             stepping,
             self._get_up.refusal(state),
         )
-
-    def out_of_control(self) -> str:
-        """Why there is no robot to change the behavior of; an empty text: there is one."""
-        if self.aside or self.silent:
-            return self.aside or self.silent
-        return "" if self.in_control else f"no {PROPRIOCEPTOR.name} yet"
 
     # --- one period -----------------------------------------------------------------------------------------------
 
@@ -215,27 +191,30 @@ class MotionManager:
         if fault := self._watchdog.fault(proprioceptor):
             self.rejections.add(PROPRIOCEPTOR.name, "comms_manager", "malformed", fault)
             if self._watchdog.malformed >= FAULTS_TO_FALL:
-                self._fall(f"{self._watchdog.malformed} consecutive Proprioceptors malformed: {fault}")
+                self.custody.fall(f"{self._watchdog.malformed} consecutive Proprioceptors malformed: {fault}")
             self._repeat(proprioceptor)
             return
         if self._watchdog.repeated(proprioceptor):
             return
         before, self._time = self._time, proprioceptor.time
         gap = self._watchdog.discontinuity(proprioceptor)
-        if self.aside or proprioceptor.motor_behavior == REFLEX:
-            if self._stand_aside(proprioceptor):
-                return
-            gap = gap or Gap("the Comms Manager brought the robot to stand", same_world=True)
-        taken_over = gap is not None or not self.in_control
+        custody, was_aside = self.custody, self.custody.aside
+        if custody.stand_aside(proprioceptor.motor_behavior):
+            self._stand_aside(proprioceptor)
+            return
+        if was_aside:
+            gap = gap or BROUGHT_TO_STAND
+        taken_over = gap is not None or not custody.ours
         if taken_over:
-            self._begin()
+            self._estimator.reset()
+            self._detector.reset()
             before = self._time
         state = self._state = self._estimator.update(proprioceptor)
-        if taken_over:
-            self._take_over(gap, state)
+        custody.take_over(proprioceptor.motor_behavior, self._time, gap, state)
+        if taken_over and self.fsm.locomotion is not Locomotion.FALL:
+            self._leave_joints(self.fsm.locomotion)
         self._watch(state)
-        if self.fsm.behavior is Behavior.IDLE and not self.in_control:
-            self._resume(proprioceptor.motor_behavior, state)
+        custody.resume(proprioceptor.motor_behavior, state)
         self.device_reactions.update()
         now = self._time * 1e-9
         if self._locomotion is self.fsm.locomotion is Locomotion.GET_UP:
@@ -252,80 +231,21 @@ class MotionManager:
         self._reference.advance(now, dt)
         self._recover()
         self._drive(state, now, dt)
-        self.in_control = True
+        custody.ours = True
 
-    def _stand_aside(self, proprioceptor: Proprioceptor) -> bool:
-        """While the Comms Manager's reflex brings the robot to stand nobody else leads it; returns whether it does.
-
-        A robot that is let go stays so: the reflex yields to that.
-        """
-        aside = proprioceptor.motor_behavior == REFLEX and self.fsm.behavior is not Behavior.FALL
-        if aside and not self.aside:
-            self.in_control = False
-            if self._locomotion in self._step_sources:
-                self._end_stepping(Locomotion.IDLE)
+    def _stand_aside(self, proprioceptor: Proprioceptor) -> None:
+        """Somebody else has the joints. Should the robot be ours in the next moment, they stay where they are."""
+        if self._locomotion is not None:
+            self._leave_joints(Locomotion.IDLE)
             self._controller.leave()
-            self._locomotion = None
-            if self.fsm.may_go(Behavior.SOFT_STOP):
-                self.fsm.go(Behavior.SOFT_STOP, _ASIDE)
-            self.fsm.remark(_ASIDE)
-        self.aside = _ASIDE if aside else ""
-        return aside
+        zeros = np.zeros_like(proprioceptor.joint_position)
+        self._command.hold(proprioceptor.joint_position, zeros, proprioceptor.joint_effort)
 
-    def _begin(self) -> None:
-        """A robot comes into our hands, for the first time or after we have lost sight of it."""
-        self._taken_over = self._time
-        self._estimator.reset()
-        self._detector.reset()
-
-    def _take_over(self, gap: Gap | None, state: RobotState) -> None:
-        """Whatever held the joints begins anew, from where they are found."""
-        if gap:
-            self._find_again(gap, state)
-        if self.fsm.locomotion is not Locomotion.FALL:
-            if self._locomotion in self._step_sources:
-                self._end_stepping(self.fsm.locomotion)
-            self._locomotion = None
-
-    def _find_again(self, gap: Gap, state: RobotState) -> None:
-        """The robot has lived without us for a while; its devices have held its joints.
-
-        One that balanced, and stands still on both feet, goes on being held: to let go would fell it. One that is
-        still in the middle of a step, or that does not stand any more, is let go, and so is one that is not known. One
-        that was being brought to its posture stays where it is: nothing moves because something restarted.
-        """
-        _log.warning("%s", gap.reason)
-        if self.fsm.behavior is Behavior.STAND_PREP:
-            self.fsm.go(Behavior.FREEZE, f"{gap.reason}; what was on its way to the posture is held")
-            return
-        lost = "" if gap.same_world else "it is not known"
-        lost = lost or ("it was stepping, and moves" if self._controller.stepping and self._legs_move(state) else "")
-        lost = lost or ("it was getting up" if self.fsm.locomotion is Locomotion.GET_UP else "")
-        lost = lost or self._not_upright(state) or self._not_loaded(state)
-        if lost:
-            self._fall(f"{gap.reason}; {lost}" if gap.same_world else gap.reason)
-        elif self.fsm.locomotion in BALANCING:
-            reason = f"{gap.reason}; it stands, and is held"
-            if not self.fsm.may_go(Behavior.FREEZE):  # from Step and Walk by way of Soft Stop
-                self.fsm.go(Behavior.SOFT_STOP, reason)
-            self.fsm.go(Behavior.FREEZE, reason)
-
-    def _resume(self, before: str, state: RobotState) -> None:
-        """The first robot of this process: new, or left behind by a Motion Manager that ended in a behavior.
-
-        Only a robot that nobody has led yet moves by itself.
-        """
-        if not before:
-            self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
-            return
-        found = next((behavior for behavior in Behavior if behavior == before), Behavior.FREEZE)
-        reason = f"the Motion Manager began anew; before, the robot was in {before}"
-        after = RESUMED[found]
-        if INTERNAL_STATES[found][0] in BALANCING and (lost := self._not_upright(state) or self._not_loaded(state)):
-            after, reason = Behavior.FALL, f"{reason}; {lost}"
-        for behavior in WAY_BACK[after]:
-            self.fsm.go(behavior, reason)
-        self.fsm.remark(reason)
+    def _leave_joints(self, locomotion: Locomotion) -> None:
+        """Whatever holds the joints in a state begins anew, from where they are found."""
+        if self._locomotion in self._step_sources:
+            self._end_stepping(locomotion)
+        self._locomotion = None
 
     def _watch(self, state: RobotState) -> None:
         """Fall, when balance is lost."""
@@ -333,12 +253,7 @@ class MotionManager:
         if self.fsm.locomotion in BALANCING or self.fsm.locomotion is Locomotion.STAND_PREP:
             self._falling = self._detector.update(state, self._controller.footholds(state)) or ""
             if self._falling and self.fsm.locomotion in BALANCING:
-                self._fall(self._falling)
-
-    def _fall(self, reason: str) -> None:
-        """Fall-safe, from wherever there is an edge to it; one that is frozen goes on being held."""
-        if self.fsm.may_go(Behavior.FALL) and self.fsm.behavior is not Behavior.FREEZE:
-            self.fsm.go(Behavior.FALL, reason)
+                self.custody.fall(self._falling)
 
     def _enter(self, state: RobotState, now: float) -> None:
         """The Locomotion FSM has another state than in the last period: hand the joints over."""
@@ -390,9 +305,9 @@ class MotionManager:
         before = get_up.progress
         get_up.update(state, now)
         if get_up.failure:
-            self._fall(f"getting up was given up: {get_up.failure}")
-        elif get_up.done and (reason := self._not_upright(state) or self._not_loaded(state)):
-            self._fall(f"getting up was given up: {reason}")
+            self.custody.fall(f"getting up was given up: {get_up.failure}")
+        elif get_up.done and (reason := self._stance.lost(state)):
+            self.custody.fall(f"getting up was given up: {reason}")
         elif get_up.done:
             self._estimator.reset()
             self._detector.reset()
@@ -464,26 +379,10 @@ class MotionManager:
         else:
             self._command.repeat()
 
-    # --- conditions for standing ----------------------------------------------------------------------------------
-
-    def _not_loaded(self, state: RobotState) -> str:
-        left, right = state.foot_forces.tolist()
-        for foot, force in (("left", left), ("right", right)):
-            if force < FOOT_LOAD * self._weight:
-                return f"the {foot} foot carries {force:.0f} N; expected at least {FOOT_LOAD * self._weight:.0f} N"
-        if left + right < FEET_LOAD * self._weight:
-            return f"the feet carry {left + right:.0f} N; expected at least {FEET_LOAD * self._weight:.0f} N"
-        return ""
-
-    def _legs_move(self, state: RobotState) -> bool:
-        return bool((self._command.force * np.abs(state.joint_velocity)).max() > AT_REST)
-
-    def _not_upright(self, state: RobotState) -> str:
-        tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))
-        limit = UPRIGHT * self._robot.tables.fall.tilt
-        if tilt <= limit:
-            return ""
-        return f"the pelvis is tilted {degrees(tilt):.0f}°; expected at most {degrees(limit):.0f}°"
+    def _swings(self, state: RobotState) -> bool:
+        """Whether the robot is in the middle of a step, and its legs move."""
+        fastest = (self._command.force * np.abs(state.joint_velocity)).max()
+        return self._controller.stepping and bool(fastest > AT_REST)
 
     # --- what is reported -----------------------------------------------------------------------------------------
 

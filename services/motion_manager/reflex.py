@@ -76,11 +76,6 @@ class BalanceReflex:
         """Whether it has let the robot go."""
         return self._behavior == Behavior.FALL
 
-    @staticmethod
-    def yields_to(motor: Motor) -> bool:
-        """Whether a Motor of somebody else goes before the reflex' own: one that lets the robot go."""
-        return motor.behavior == Behavior.FALL
-
     def begin(self, last: Motor) -> None:
         """Take over; the upper body stays where the last Motor wanted it."""
         self._estimator.reset()
@@ -108,8 +103,14 @@ class BalanceReflex:
             self._balance(proprioceptor, hold)
         if not self.done and self.time >= LONGEST:
             self._end(f"not at rest within {LONGEST:g} s")
-        self._sequence += 1
-        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, self._behavior)
+        return self._message(proprioceptor)
+
+    def let_go(self, proprioceptor: Proprioceptor, last: Motor | None) -> Motor:
+        """The Motor of a robot that somebody wants limp, whoever led it until ``last``."""
+        if last is not None:
+            self.begin(last)
+        self._let_go(proprioceptor, "somebody wants it limp")
+        return self._message(proprioceptor)
 
     def _balance(self, proprioceptor: Proprioceptor, hold: bool) -> None:
         state, controller = self._estimator.update(proprioceptor), self._controller
@@ -132,12 +133,16 @@ class BalanceReflex:
         if controller.stepping:
             self._still = 0.0
         elif hold:
-            self._end("held, as the devices demand")
+            self._end("held, as is demanded")
         else:
             x, y, _ = state.com_velocity_in_odom.tolist()
             self._still = self._still + self._period if hypot(x, y) < STILL else 0.0
             if self._still >= SETTLED:
                 self._end("it stands")
+
+    def _message(self, proprioceptor: Proprioceptor) -> Motor:
+        self._sequence += 1
+        return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, self._behavior)
 
     def _repeat(self, why: str) -> None:
         """A period without a command of its own."""
@@ -147,7 +152,7 @@ class BalanceReflex:
             self._end(why)
 
     def _let_go(self, proprioceptor: Proprioceptor, why: str) -> None:
-        self._command.limp(proprioceptor.joint_position)
+        self._command.limp(np.nan_to_num(proprioceptor.joint_position))
         self._behavior = Behavior.FALL  # as if the Motion Manager had said so: it is kept
         self._end(f"let go: {why}")
 

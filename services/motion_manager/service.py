@@ -55,6 +55,7 @@ from valor.common.topics import (
     VELOCITY,
 )
 from valor.common.trace import Stage
+from valor.motion_manager.custody import ASIDE
 from valor.motion_manager.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
 
@@ -191,8 +192,8 @@ class MotionManagerService:
 
     def _wait_for_robot(self, why: str) -> None:
         """Say that no robot is in our hands."""
-        if self._manager.silent != why:
-            self._manager.silent = why
+        if self._manager.custody.silent != why:
+            self._manager.custody.silent = why
             self._statistics.state("starting", why)
 
     def _tick(self, proprioceptor: Proprioceptor, began: float) -> None:
@@ -204,10 +205,11 @@ class MotionManagerService:
         self._trace.mark(Stage.SEND_MOTOR, proprioceptor.sequence)
         self._motion_state.publish(manager.report(time.monotonic() - began, self._tick_time))
         self._trace.mark(Stage.SEND_STATE)
-        if manager.aside:
-            self._wait_for_robot(manager.aside)
-        elif manager.in_control and manager.silent:
-            manager.silent = ""
+        custody = manager.custody
+        if custody.aside:
+            self._wait_for_robot(ASIDE)
+        elif custody.ours and custody.silent:
+            custody.silent = ""
             self._statistics.state("ready")
 
     def _attend(self) -> None:
@@ -248,7 +250,7 @@ class MotionManagerService:
     def _take_setpoints(self) -> None:
         manager = self._manager
         for received in self._next(self._setpoints):
-            manager.setpoints_handler.handle(received, manager.time, manager.taken_over)
+            manager.setpoints_handler.handle(received, manager.time, manager.custody.since)
 
     def _take_velocities(self) -> None:
         for received in self._next(self._velocity):

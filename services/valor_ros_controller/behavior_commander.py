@@ -14,6 +14,8 @@ from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 ANSWER_TIMEOUT = 2.0
 """How long the Motion Manager may take to answer a behavior command [s]."""
+STOPS = frozenset(("soft_stop", "freeze"))
+"""What the Comms Manager is asked for where there is no Motion Manager."""
 
 
 class Commander(Protocol):
@@ -53,6 +55,7 @@ class BehaviorCommander(threading.Thread):
         self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
         self.answered: Callable[[], None] = lambda: None
         self._client = node.client(topics.BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self._stop = node.client(topics.STOP.name, BehaviorRequest, BehaviorReply)
         self._wake = threading.Event()
         self._closing = False
         self.start()
@@ -79,11 +82,13 @@ class BehaviorCommander(threading.Thread):
                 self.answered()
 
     def _call(self, number: int, behavior: str) -> BehaviorAnswer:
+        client = self._stop if behavior in STOPS and self._client.server is None else self._client
         try:
-            reply = self._client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
+            reply = client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
         except bifrost.Error as error:
             return BehaviorAnswer(number, False, str(error), silent=True)
-        reason = f"the Motion Manager refused {behavior}: {reply.reason}"
+        asked = "the Motion Manager" if client is self._client else "the Comms Manager"
+        reason = f"{asked} refused {behavior}: {reply.reason}"
         return BehaviorAnswer(number, reply.accepted, reason, reply.behavior)
 
     def close(self) -> None:
@@ -93,3 +98,4 @@ class BehaviorCommander(threading.Thread):
         if self.is_alive():
             self.join()
         self._client.close()
+        self._stop.close()

@@ -44,6 +44,7 @@ from valor.common.topics import (
     PUSH,
     REJECTION,
     STATISTICS,
+    STOP,
     VELOCITY,
 )
 from valor.motion_manager.behaviors import Behavior
@@ -55,6 +56,7 @@ FORWARD = np.array([ROBOT.tables.arm_presets["forward"]["right"][name] for name 
 LEGS = {*ROBOT.tables.groups["left_leg"], *ROBOT.tables.groups["right_leg"]}
 HELD = 0.05  # of a joint that is held while nobody commands it: it sags a little [rad]
 DAMPING_ALONE = 15.0  # of limp joints, which sink slowly, and the sensors' noise [N·m]
+LIMP_AND_FALLING = 60.0  # likewise of ones that move [N·m]
 FLOODED = f"flooder floods {JOINT_SETPOINTS.name}"
 MISSED = 50  # periods in a row that a busy machine may cost
 STANDING = 0.7  # the pelvis of a standing robot is higher [m]
@@ -287,32 +289,52 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
     system = MotionSystem(instance)
     measured = instance.node("witness").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
 
-    def led_by_the_reflex() -> bool:
-        received = measured.latest()
-        return received is not None and received.message.motor_behavior == REFLEX
+    def last_led_by() -> str:
+        return wait_until(measured.latest, 20.0, "a Proprioceptor").message.motor_behavior
 
     def stopped_and_continued() -> None:
         process = system.instance.process("motion_manager")
         process.send_signal(signal.SIGSTOP)
         try:
-            wait_until(led_by_the_reflex, 30.0, "the reflex")
-            wait_until(lambda: (r := measured.latest()) and r.message.motor_behavior == "walk", 30.0, "its end")
+            wait_until(lambda: last_led_by() == REFLEX, 30.0, "the reflex")
+            wait_until(lambda: last_led_by() == "walk", 30.0, "its end")
         finally:
             process.send_signal(signal.SIGCONT)
 
-    ways: tuple[tuple[Callable[[], object], str], ...] = (
-        (lambda: killed_and_back(system), "before, the robot was in walk"),
-        (stopped_and_continued, "it stands, and is held"),
+    ways: tuple[tuple[Callable[[], object], tuple[str, ...]], ...] = (
+        # The next one may find the reflex at it, or done.
+        (lambda: killed_and_back(system), ("before, the robot was in walk", "it stands, and is held")),
+        (stopped_and_continued, ("it stands, and is held",)),
     )
-    for what, reason in ways:
+    for what, reasons in ways:
         system.go(Behavior.STAND_PREP)
         system.stand()
         system.walk_on_one_foot(3.0)
         what()
-        assert reason in system.wait_behavior(Behavior.FREEZE).reason
+        reason = system.wait_behavior(Behavior.FREEZE).reason
+        assert any(expected in reason for expected in reasons), reason
         assert system.pass_time(1.0).behavior == Behavior.FREEZE
         assert system.height > STANDING
     assert "it stands, after" in instance.log("comms_manager")
+
+    # Whoever wants it limp while nobody but the reflex is there has it limp.
+    system.go(Behavior.STAND_PREP)
+    system.stand()
+    system.walk_on_one_foot(1.0)
+    instance.kill("motion_manager")
+    wait_until(lambda: last_led_by() == REFLEX, 30.0, "the reflex")
+    reply = (
+        instance.node("somebody")
+        .client(STOP.name, BehaviorRequest, BehaviorReply)
+        .call(BehaviorRequest("fall"), timeout=10.0)
+    )
+    assert (reply.accepted, reply.behavior) == (True, "fall")
+    wait_until(lambda: last_led_by() == "fall", 30.0, "what was asked for")
+    sinking = [wait_until(measured.latest, 20.0, "a Proprioceptor").message for _ in range(10)]
+    assert {each.motor_behavior for each in sinking} == {"fall"}
+    assert max(float(np.abs(each.joint_effort).max()) for each in sinking[5:]) < LIMP_AND_FALLING
+    instance.start("motion_manager", wait=True)
+    assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
 
 
 def test_both_managers_killed_the_robot_is_not_brought_to_its_feet(instance: RunningInstance) -> None:

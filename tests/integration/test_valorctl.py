@@ -503,17 +503,24 @@ def whoever_dies_a_stop_tells_the_truth(ctl: Cli) -> None:
 
     def stopped(*options: str, status: int = 0) -> str:
         said = ctl("stop", *options, status=status)
-        assert "motion_manager, over Bifrost: " in said and "valor_ros_controller, over ROS 2: " in said
+        for path in (
+            "motion_manager, over Bifrost: ",
+            "comms_manager, over Bifrost: ",
+            "valor_ros_controller, over ROS 2: ",
+        ):
+            assert path in said
         return said.splitlines()[0]
 
     names = ("motion_manager", "comms_manager", "valor_ros_controller")
     motion_manager, comms_manager, controller = (ctl.pid(name) for name in names)
     assert stopped().endswith(": fall")
     os.kill(motion_manager, signal.SIGSTOP)
-    assert "motion_manager is silent" in stopped("--freeze", status=1)  # it would go on where it was
+    assert stopped("--freeze").endswith(": freeze"), "the Comms Manager holds what a silent one has left"
+    os.kill(motion_manager, signal.SIGCONT)
+    assert stopped("--freeze").endswith(": freeze"), "and it does not undo it"
     os.kill(controller, signal.SIGKILL)
     os.kill(motion_manager, signal.SIGKILL)
-    assert stopped("--freeze").endswith("held by comms_manager: there is no motion_manager")
+    assert stopped("--freeze").endswith(": freeze")
     os.kill(comms_manager, signal.SIGKILL)
     assert "comms_manager is silent" in stopped(status=1)
 

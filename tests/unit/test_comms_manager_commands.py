@@ -16,7 +16,8 @@ from valor.common.messages import REFLEX, JointMode, Motor
 from valor.common.topics import MOTOR
 from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
-from valor.comms_manager.reflex import Reflex
+from valor.comms_manager.leader import Leader
+from valor.motion_manager.reflex import BalanceReflex
 from valor.valorctl.ros_domain import daemon_ports
 
 FIRST = 1000  # state that the world begins with
@@ -49,12 +50,12 @@ def net(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[B
 class Devices:
     """What the Comms Manager has of them: a state each period; and a Motion Manager that says what the test wants."""
 
-    def __init__(self, net: BifrostNetwork, reflex: Reflex, file: Path) -> None:
+    def __init__(self, net: BifrostNetwork, reflex: BalanceReflex, file: Path) -> None:
         self._speaker, self._listener = net.node("motion_manager"), net.node("comms_manager")
         self._publisher = self._speaker.publisher(MOTOR.name, Motor)
         subscriber = self._listener.subscriber(MOTOR.name, Motor, queue=AT_ONCE)
         self.latch = BehaviorLatch(file, 1)
-        self.commands = Commands(subscriber, ROBOT, self.latch, reflex)
+        self.commands = Commands(subscriber, ROBOT, Leader(reflex, self.latch))
         self._robot = STANDING
         self.sequence = FIRST - 1
         self._subscriber = subscriber
@@ -77,11 +78,11 @@ class Devices:
     def hear(self, **changes: Any) -> bool:
         """The same, and it is taken in; whether it is in force now."""
         commands = self.commands
-        admitted, before = commands.admitted, commands.admitted + commands.refused
+        admitted, before = commands.leader.admitted, commands.leader.admitted + commands.refused
         self.say(**changes)
-        until(lambda: commands.take() or commands.admitted + commands.refused > before, "a Motor is considered")
-        assert commands.admitted + commands.refused == before + 1
-        return commands.admitted > admitted
+        until(lambda: commands.take() or commands.leader.admitted + commands.refused > before, "a Motor is considered")
+        assert commands.leader.admitted + commands.refused == before + 1
+        return commands.leader.admitted > admitted
 
     def leave(self) -> None:
         """The Motion Manager is gone, and that is known."""
@@ -96,12 +97,12 @@ class Devices:
 
 
 @pytest.fixture(scope="module")
-def reflex() -> Reflex:
-    return Reflex(ROBOT)
+def reflex() -> BalanceReflex:
+    return BalanceReflex(ROBOT)
 
 
 @pytest.fixture
-def devices(net: BifrostNetwork, reflex: Reflex, tmp_path: Path) -> Iterator[Devices]:
+def devices(net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path) -> Iterator[Devices]:
     reflex.active = False
     made = Devices(net, reflex, tmp_path / "behavior.json")
     made.measure()
@@ -132,10 +133,10 @@ def test_an_unsound_motor_is_refused_whole_and_each_kind_is_told_once(
     devices: Devices, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert devices.hear(behavior="walk")
-    commands, obeyed = devices.commands, devices.commands.motor
+    commands, obeyed = devices.commands, devices.commands.leader.motor
     for refused, (name, (changes, _)) in enumerate(UNSOUND.items(), 1):
         assert not devices.hear(**({"behavior": "freeze"} | changes)), name
-        assert (commands.motor, commands.admitted, commands.refused) == (obeyed, 1, refused), name
+        assert (commands.leader.motor, commands.leader.admitted, commands.refused) == (obeyed, 1, refused), name
         assert devices.latch.behavior == "walk"
     told = [record.getMessage() for record in caplog.records]
     kinds = {reason for _, reason in UNSOUND.values()}
@@ -175,7 +176,9 @@ def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
     devices.leave()
     devices.measure(2 * ABSENCE)
     assert not commands.wait(SOON)
-    assert (commands.abandoned, commands.silent, commands.answered, commands.waits_timed_out) == (False,) * 3 + (0,)
+    assert (commands.leader.abandoned, commands.leader.silent, commands.answered, commands.waits_timed_out) == (
+        False,
+    ) * 3 + (0,)
 
 
 @pytest.mark.parametrize(("said", "limp"), [({}, False), (LIMP, True)], ids=["led", "limp"])
@@ -185,17 +188,17 @@ def test_who_says_nothing_for_a_time_is_silent_until_the_next_word(
     commands = devices.commands
     assert devices.hear(**said)
     devices.measure(OLDEST)
-    assert not commands.silent
+    assert not commands.leader.silent
     devices.measure()
-    assert (commands.abandoned, commands.silent, commands.limp) == (True, True, limp)
+    assert (commands.leader.abandoned, commands.leader.silent, commands.leader.limp) == (True, True, limp)
     assert not devices.hear(stiffness=-np.ones(N))
-    assert commands.silent
+    assert commands.leader.silent
     assert devices.hear()
-    assert (commands.abandoned, commands.silent, commands.limp) == (False, False, False)
+    assert (commands.leader.abandoned, commands.leader.silent, commands.leader.limp) == (False, False, False)
     devices.measure(OLDEST)
-    assert not commands.silent, "the time counts from the last that was obeyed"
+    assert not commands.leader.silent, "the time counts from the last that was obeyed"
     devices.measure()
-    assert commands.silent
+    assert commands.leader.silent
 
 
 def test_who_is_gone_is_not_waited_for(devices: Devices) -> None:
@@ -203,9 +206,9 @@ def test_who_is_gone_is_not_waited_for(devices: Devices) -> None:
     assert devices.hear()
     devices.leave()
     devices.measure(ABSENCE)
-    assert not commands.silent, "it may have been the last of many, and more wait"
+    assert not commands.leader.silent, "it may have been the last of many, and more wait"
     devices.measure()
-    assert commands.silent
+    assert commands.leader.silent
 
 
 def test_a_wait_for_one_who_is_gone_ends_at_once(devices: Devices) -> None:
@@ -214,7 +217,7 @@ def test_a_wait_for_one_who_is_gone_ends_at_once(devices: Devices) -> None:
     devices.leave()
     devices.measure()
     assert not commands.wait(3600.0)
-    assert commands.silent
+    assert commands.leader.silent
     assert commands.waits_timed_out == 0
 
 
@@ -229,60 +232,60 @@ def test_a_wait_ends_with_the_answer_and_misses_in_a_row_are_silence(devices: De
     assert commands.wait(SOON, age=MISSES_TO_SILENCE - 1), "one that old will do"
     for _ in range(MISSES_TO_SILENCE - 1):
         assert not commands.wait(SOON)
-    assert not commands.silent, "not in a row"
+    assert not commands.leader.silent, "not in a row"
     assert not commands.wait(SOON)
-    assert commands.silent
+    assert commands.leader.silent
     devices.say()
     assert commands.wait(LONG)
     assert not commands.wait(SOON, age=-1)
-    assert not commands.silent
+    assert not commands.leader.silent
 
 
 def test_who_listens_takes_what_is_there_and_counts_no_miss(devices: Devices) -> None:
     commands = devices.commands
     devices.say()
     commands.listen(LONG)
-    assert commands.admitted == 1
+    assert commands.leader.admitted == 1
     for _ in range(2 * MISSES_TO_SILENCE):
         commands.listen(SOON)
-    assert (commands.admitted, commands.waits_timed_out, commands.silent) == (1, 0, False)
+    assert (commands.leader.admitted, commands.waits_timed_out, commands.leader.silent) == (1, 0, False)
     for _ in range(3):
         devices.say()
-    until(lambda: commands.listen(0.0) or commands.admitted == 4, "all are taken, without waiting")
+    until(lambda: commands.listen(0.0) or commands.leader.admitted == 4, "all are taken, without waiting")
     assert commands.drops == 0
 
 
 def test_a_motor_of_the_reflex_is_nobodys_word(devices: Devices) -> None:
     devices.say(behavior=REFLEX)
     assert devices.hear()
-    assert (devices.commands.admitted, devices.commands.refused) == (1, 0)
+    assert (devices.commands.leader.admitted, devices.commands.refused) == (1, 0)
 
 
 def test_a_robot_left_walking_is_led_until_it_stands(devices: Devices, caplog: pytest.LogCaptureFixture) -> None:
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    assert commands.abandoned
-    assert not commands.silent
+    assert commands.leader.abandoned
+    assert not commands.leader.silent
     assert commands.answered
-    admitted = commands.admitted
+    admitted = commands.leader.admitted
     devices.say(behavior="stand")  # by one that should stand aside
-    while not commands.silent:
-        assert commands.motor is not None
-        assert commands.motor.behavior == REFLEX
+    while not commands.leader.silent:
+        assert commands.leader.motor is not None
+        assert commands.leader.motor.behavior == REFLEX
         devices.measure()
         admitted += 1
-        assert (commands.admitted, commands.answered) == (admitted, True)
-    assert not commands.limp
+        assert (commands.leader.admitted, commands.answered) == (admitted, True)
+    assert not commands.leader.limp
     assert commands.refused == 0
     assert devices.latch.behavior == "walk"
     assert "the robot, left in walk, is brought to stand" in caplog.text
     assert "the balance reflex has ended: it stands" in caplog.text
     assert "the balance reflex has ended: the joints are held" in caplog.text
     devices.measure()
-    assert commands.admitted == admitted, "nor is anything made any more"
+    assert commands.leader.admitted == admitted, "nor is anything made any more"
     assert devices.hear()
-    assert not commands.silent
+    assert not commands.leader.silent
 
 
 def test_what_the_reflex_lets_go_stays_limp_and_is_kept(devices: Devices) -> None:
@@ -290,9 +293,9 @@ def test_what_the_reflex_lets_go_stays_limp_and_is_kept(devices: Devices) -> Non
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
     devices.measure(demand="limp")
-    assert (commands.silent, commands.limp) == (True, True)
-    assert commands.motor is not None
-    assert commands.motor.behavior == devices.latch.behavior == "fall"
+    assert (commands.leader.silent, commands.leader.limp) == (True, True)
+    assert commands.leader.motor is not None
+    assert commands.leader.motor.behavior == devices.latch.behavior == "fall"
 
 
 def test_one_who_lets_the_robot_go_is_heard_while_the_reflex_leads(
@@ -301,23 +304,23 @@ def test_one_who_lets_the_robot_go_is_heard_while_the_reflex_leads(
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    assert not commands.silent
+    assert not commands.leader.silent
     assert devices.hear(behavior="fall", **LIMP)
     assert "Motor from motion_manager lets the robot go" in caplog.text
     devices.measure()
-    assert commands.motor is not None
-    assert commands.motor.behavior == devices.latch.behavior == "fall"
-    assert (commands.abandoned, commands.silent) == (False, False)
+    assert commands.leader.motor is not None
+    assert commands.leader.motor.behavior == devices.latch.behavior == "fall"
+    assert (commands.leader.abandoned, commands.leader.silent) == (False, False)
 
 
 def test_an_error_of_the_reflex_leaves_the_joints_held(
-    devices: Devices, reflex: Reflex, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    devices: Devices, reflex: BalanceReflex, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    led = commands.motor
-    monkeypatch.setattr(reflex._balance, "_controller", None)
+    led = commands.leader.motor
+    monkeypatch.setattr(reflex, "_controller", None)
     devices.measure()
     assert "error in the balance reflex" in caplog.text
-    assert (commands.silent, commands.limp, commands.motor) == (True, False, led)
+    assert (commands.leader.silent, commands.leader.limp, commands.leader.motor) == (True, False, led)

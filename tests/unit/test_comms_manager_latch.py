@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from valor.common.messages import JointMode, Motor
-from valor.comms_manager.commands import drives
 from valor.comms_manager.latch import BehaviorLatch
+from valor.comms_manager.leader import drives
 
 EPOCH = 123
 N = 4

@@ -76,11 +76,13 @@ def test_it_moves_again_by_a_command() -> None:
     assert not robot.ask(Behavior.STAND)
 
 
-def test_what_the_devices_say_later_of_the_behavior_changes_nothing(robot: Robot) -> None:
-    """It is the devices' memory, and was read when the robot was found."""
-    robot.run(0.1)
-    robot.run(0.5, motor_behavior="fall")
-    assert robot.behavior is Behavior.STAND_PREP
+@pytest.mark.parametrize("behavior", [*Behavior, "of_a_later_version"])
+def test_what_the_devices_say_later_of_the_behavior_changes_nothing_but_for_a_stop(robot: Robot, behavior: str) -> None:
+    """It is the devices' memory, and was read when the robot was found; but somebody may have stopped it there."""
+    robot.run(0.3)
+    robot.run(0.3, motor_behavior=behavior)
+    assert robot.behavior == (behavior if behavior in ("fall", "freeze") else Behavior.STAND_PREP)
+    assert behavior not in ("fall", "freeze") or f"was told to: {behavior}" in robot.manager.fsm.reason
 
 
 def test_a_robot_in_stand_prep_that_lived_alone_for_a_while_is_held() -> None:

@@ -132,7 +132,7 @@ def test_it_starts_idle_and_goes_to_stand_prep_with_the_first_proprioceptor(robo
     assert robot.manager.report(0.0).behavior == "idle"
     robot.tick()
     assert robot.behavior is Behavior.STAND_PREP
-    assert robot.manager.in_control
+    assert robot.manager.custody.ours
 
 
 def test_a_repeated_proprioceptor_is_answered_and_nothing_else(robot: Robot) -> None:
@@ -338,13 +338,13 @@ def aside(robot: Robot, seconds: float = 0.1, **changes: object) -> None:
         motor = robot.tick(motor_behavior=REFLEX, **changes)
         assert motor.behavior == REFLEX
     assert "the Comms Manager brings the robot to stand" in robot.ask(Behavior.STAND)
-    assert not robot.manager.in_control
+    assert not robot.manager.custody.ours
 
 
 def test_a_new_motion_manager_waits_for_the_reflex_and_holds_what_it_leaves() -> None:
     robot = Robot()
     aside(robot, left_foot_wrench=np.zeros(6))
-    assert robot.behavior is Behavior.IDLE
+    assert robot.behavior is Behavior.SOFT_STOP
     found = np.clip(ROBOT.nominal_posture + 0.1, ROBOT.lower, ROBOT.upper)
     motor = robot.tick(motor_behavior="walk", joint_position=found)
     assert robot.behavior is Behavior.FREEZE
@@ -441,7 +441,7 @@ def test_a_robot_that_never_makes_sense_is_never_in_control(robot: Robot) -> Non
         motor = robot.tick(joint_position=np.full(N, np.nan))
     assert not motor.effort.any()
     assert robot.behavior is Behavior.IDLE
-    assert not robot.manager.in_control
+    assert not robot.manager.custody.ours
 
 
 def interfere(robot: Robot, change: Callable[[WholeBodyCommand], WholeBodyCommand]) -> None:
@@ -522,10 +522,10 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
             position = np.full(1, data.draw(values))
             message = JointSetpoints(robot.time, ["neck_yaw"], position, np.zeros(1), np.zeros(1))
             robot.manager.setpoints_handler.handle(
-                Received(message, 0, 1, "somebody"), robot.manager.time, robot.manager.taken_over
+                Received(message, 0, 1, "somebody"), robot.manager.time, robot.manager.custody.since
             )
         robot.run(0.04)
-        assert robot.manager.in_control
+        assert robot.manager.custody.ours
 
 
 SAID = {

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 
 from valor.valorctl.plain_command import plain_command
-from valor.valorctl.stopping import LOCK, STOP, Goal, command_line
+from valor.valorctl.stopping import HALT, LOCK, Goal, command_line
 
 
 @pytest.mark.parametrize(
     ("words", "name", "goal", "json"),
     [
-        ("stop", "default", STOP, False),
+        ("stop", "default", HALT, False),
         ("stop --freeze", "default", LOCK, False),
-        ("--instance two stop --json", "two", STOP, True),
+        ("--instance two stop --json", "two", HALT, True),
         ("stop --json --instance two --freeze", "two", LOCK, True),
     ],
 )

@@ -103,12 +103,13 @@ TOPICS: tuple[Topic, ...] = (
 
 #                            name                            request                reply                server    description
 BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,      m.BehaviorReply,      _MOTION, "go to a behavior")
+STOP          = ServiceTopic("comms_manager/stop",           m.BehaviorRequest,      m.BehaviorReply,      _COMMS,  "fall, soft_stop or freeze, while no Motion Manager leads the robot")
 FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest,  m.FootstepPlanReply,  _MOTION, "execute, update or stop a footstep plan")
 PUSH          = ServiceTopic("simulation/push",              m.PushRequest,          m.PushReply,          _COMMS,  "push the chest; simulation only", (_EMULATORS,))
 FAULT         = ServiceTopic("simulation/fault",             m.FaultRequest,         m.FaultReply,         _EMULATORS, "let an emulated device fail; hardware without a robot only")
 SNAP          = ServiceTopic("bag_recorder/snap",            m.SnapRequest,          m.SnapReply,          _RECORDER, "save the last seconds that the recorder holds")
 # fmt: on
 
-SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, FOOTSTEP_PLAN, PUSH, FAULT, SNAP)
+SERVICE_TOPICS: tuple[ServiceTopic, ...] = (BEHAVIOR, STOP, FOOTSTEP_PLAN, PUSH, FAULT, SNAP)
 
 STATISTICS: dict[str, Topic] = {topic.publisher: topic for topic in TOPICS if topic.type is m.Statistics}

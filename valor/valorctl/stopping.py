@@ -1,8 +1,8 @@
 """Stopping the robot by every path at once, whatever of the system still runs.
 
-One path is Bifrost's, to the Motion Manager; the other is ROS', to the Valor ROS Controller, in a process of its own,
-for rclpy takes half a second to import. What counts is neither's answer but the Comms Manager's word on what the motors
-do.
+Over Bifrost the Motion Manager is asked, and the Comms Manager, which obeys when no Motion Manager does; over ROS the
+Valor ROS Controller, in a process of its own, for rclpy takes half a second to import. What counts is nobody's answer
+but the Comms Manager's word on what the motors do.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import msgspec
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, Proprioceptor
-from valor.common.topics import BEHAVIOR, CLOCK, PROPRIOCEPTOR
+from valor.common.messages import REFLEX, BehaviorReply, BehaviorRequest, Proprioceptor
+from valor.common.topics import BEHAVIOR, PROPRIOCEPTOR, STOP, ServiceTopic
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
 from valor.valorctl.plain_command import plain_command
 
-SOFT_STOP, FREEZE, FALL = "soft_stop", "freeze", "fall"
+SOFT_STOP, FREEZE, FALL, GET_UP = "soft_stop", "freeze", "fall", "get_up"
 LONGEST = 3.0  # until it is given up, once somebody has answered [s]
 LONGEST_WITHOUT_ANSWER = 10.0  # on a busy computer rclpy takes long to import [s]
 LONGEST_TO_FREEZE = 15.0  # a robot that walks is frozen once it stands [s]
@@ -40,8 +40,9 @@ class Goal:
     """Where the robot shall come to rest.
 
     Attributes:
-        reached: behaviors that are meant.
-        requests: what the Motion Manager is asked for, each when it has refused the one before.
+        reached: what is meant: behaviors, or the balance reflex, which keeps the balance and holds the joints then.
+        requests: what the Motion Manager is asked for, each when it has refused the one before; the Comms Manager is
+            asked for the first.
         modes: what the VRC is asked for, likewise.
         longest: how long to try [s].
     """
@@ -52,7 +53,7 @@ class Goal:
     longest: float
 
 
-STOP = Goal((SOFT_STOP, FREEZE, FALL), (SOFT_STOP, FREEZE, FALL), ("emergency_stop",), LONGEST)
+HALT = Goal((SOFT_STOP, FREEZE, FALL, REFLEX), (SOFT_STOP, FREEZE, FALL), ("emergency_stop",), LONGEST)
 """Keep the balance where there is one, else lock the joints; on its way up from the floor only Fall follows."""
 
 LOCK = Goal((FREEZE,), (FREEZE, SOFT_STOP, FALL), (FREEZE, "emergency_stop"), LONGEST_TO_FREEZE)
@@ -112,7 +113,7 @@ def command_line(arguments: Sequence[str]) -> tuple[Instance, Goal, bool] | None
     """What a command line that is nothing but ``stop`` asks for, and whether as JSON; None: another one."""
     if plain := plain_command(arguments, "stop", ("--freeze", "--json")):
         instance, options = plain
-        return instance, LOCK if "--freeze" in options else STOP, "--json" in options
+        return instance, LOCK if "--freeze" in options else HALT, "--json" in options
     return None
 
 
@@ -137,7 +138,7 @@ def stop(instance: Instance, goal: Goal, check: Callable[[], None] = lambda: Non
 
     Args:
         instance: must be up.
-        goal: ``STOP`` or ``LOCK``.
+        goal: ``HALT`` or ``LOCK``.
         check: called while waiting; may raise to give up. What was asked for stays asked for.
 
     Raises:
@@ -150,7 +151,7 @@ def stop(instance: Instance, goal: Goal, check: Callable[[], None] = lambda: Non
         ros = _Ros(instance, goal, began)
         try:
             while not (state := system.confirmed()):
-                if time.monotonic() - began > _patience(goal, system.path, ros.path):
+                if time.monotonic() - began > _patience(goal, system, ros.path):
                     break
                 check()
                 system.wait()
@@ -160,54 +161,45 @@ def stop(instance: Instance, goal: Goal, check: Callable[[], None] = lambda: Non
                 ros.advance()
         finally:
             ros.close("not needed" if system.confirmed() else "")
-        return Stop(state, time.monotonic() - began, system.seen(), [system.path, ros.path])
+        return Stop(state, time.monotonic() - began, system.seen(), [*system.paths, ros.path])
 
 
-def _patience(goal: Goal, bifrost_path: Path, ros_path: Path) -> float:
+def _patience(goal: Goal, system: _MotionSystem, ros_path: Path) -> float:
     """How long to go on trying [s]."""
-    if bifrost_path.after is not None:
+    if any(path.after is not None for path in system.paths):
         return goal.longest
     return LONGEST if ros_path.answer else LONGEST_WITHOUT_ANSWER
 
 
-class _MotionSystem:
-    """The Motion Manager, asked over Bifrost, and what the Comms Manager says of the motors."""
+class _Asked:
+    """One process, asked over Bifrost, again and again until it obeys.
 
-    def __init__(self, instance: Instance, goal: Goal, began: float) -> None:
-        self.path = Path("motion_manager, over Bifrost")
+    Attributes:
+        path: what it has answered.
+        client: whose answer is waited for.
+        obeys: by its own word.
+    """
+
+    def __init__(
+        self, node: bifrost.Node, service: ServiceTopic, requests: Sequence[str], goal: Goal, began: float
+    ) -> None:
+        """``requests``: what it is asked for, each when it has refused the one before."""
+        self.path = Path(f"{service.server}, over Bifrost")
+        self.client = node.client(service.name, BehaviorRequest, BehaviorReply)
         self.obeys = False
-        self._goal, self._began = goal, began
-        self._node = bifrost.Node("valorctl", network=bifrost.Network.load(instance.network_file, instance.keys))
-        self._states = self._node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
-        self._clocks = self._node.subscriber(CLOCK.name, ClockStatus)
-        self._client = self._node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._request = -1  # the one that is open, of the goal's; -1: none
+        self._requests, self._goal, self._began = requests, goal, began
+        self._request = -1  # the one that is open; -1: none
         self._next = 0.0  # when the next round begins, monotonic [s]
-        self._behavior = ""  # of the newest Motor
-        self._holding = False
-        self._since: float | None = None  # when the motors began to obey, monotonic [s]
-        self._heard = 0.0  # when they were heard of last, monotonic [s]
-
-    def __enter__(self) -> _MotionSystem:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._node.close()
-
-    def wait(self) -> None:
-        sources: tuple[Any, ...] = (self._client, self._states, self._clocks)
-        bifrost.wait(sources, timeout=_LOOK)
 
     def advance(self) -> None:
-        """Ask, and take in what has come."""
-        self._look()
+        """Ask, and take in what was answered."""
         now = time.monotonic()
         if self._request < 0:
             if now >= self._next and not self.obeys:
                 self._ask(0)
             return
         try:
-            reply = self._client.answer()
+            reply = self.client.answer()
         except bifrost.NoServerError:
             self._round_ends(now)
             return
@@ -218,17 +210,22 @@ class _MotionSystem:
         if reply is not None:
             self._take(reply, now)
 
+    def doubt(self, undone: bool, now: float) -> None:
+        """The motors do not do what it said; when they have ceased to, or after a while, it is asked anew."""
+        self.obeys &= not undone and now < self._next + _ANSWER
+
     def _ask(self, request: int) -> None:
         self._request = request
-        self._client.ask(BehaviorRequest(self._goal.requests[request]), timeout=_ANSWER)
+        self.client.ask(BehaviorRequest(self._requests[request]), timeout=_ANSWER)
 
     def _take(self, reply: BehaviorReply, now: float) -> None:
-        asked = self._goal.requests[self._request]
+        asked, others = self._requests[self._request], self._requests[self._request + 1 :]
         self.obeys = reply.behavior in self._goal.reached
         if self.obeys or reply.accepted or self.path.after is None:
             self.path.answer = reply.behavior if self.obeys or reply.accepted else f"{asked} refused: {reply.reason}"
             self.path.after = now - self._began
-        if self.obeys or reply.accepted or self._request + 1 == len(self._goal.requests):
+        # To let the robot go is for one that is on its way up, and for nobody who refuses for another reason.
+        if self.obeys or reply.accepted or not others or (others[0] == FALL and reply.behavior != GET_UP):
             self._round_ends(now)
         else:
             self._ask(self._request + 1)
@@ -237,36 +234,67 @@ class _MotionSystem:
         self._request = -1
         self._next = now + _PAUSE
 
+
+class _MotionSystem:
+    """Motion Manager and Comms Manager, asked over Bifrost, and what the latter says of the motors."""
+
+    def __init__(self, instance: Instance, goal: Goal, began: float) -> None:
+        self._goal = goal
+        self._node = bifrost.Node("valorctl", network=bifrost.Network.load(instance.network_file, instance.keys))
+        self._states = self._node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._asked = [
+            _Asked(self._node, BEHAVIOR, goal.requests, goal, began),
+            _Asked(self._node, STOP, goal.requests[:1], goal, began),
+        ]
+        self._behavior = ""  # of the newest Motor
+        self._since: float | None = None  # when the motors began to obey, monotonic [s]
+        self._heard = 0.0  # when they were heard of last, monotonic [s]
+
+    def __enter__(self) -> _MotionSystem:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._node.close()
+
+    @property
+    def paths(self) -> list[Path]:
+        """Both."""
+        return [asked.path for asked in self._asked]
+
+    @property
+    def obeys(self) -> bool:
+        """Whether one of them does, by its own word."""
+        return any(asked.obeys for asked in self._asked)
+
+    def wait(self) -> None:
+        sources: tuple[Any, ...] = (*(asked.client for asked in self._asked), self._states)
+        bifrost.wait(sources, timeout=_LOOK)
+
+    def advance(self) -> None:
+        """Ask, and take in what has come."""
+        self._look()
+        for asked in self._asked:
+            asked.advance()
+
     def _look(self) -> None:
-        if clock := self._clocks.latest():
-            self._holding = clock.message.holding
         received = self._states.latest()
         if received is None:
             return
         now = time.monotonic()
         self._heard = now
         self._behavior = received.message.motor_behavior
-        if self._rests:
+        if self._behavior in self._goal.reached:
             self._since = self._since or now
-        else:
-            undone, self._since = self._since is not None, None
-            self.obeys &= not undone and now < self._next + _ANSWER  # else it is asked anew
-
-    @property
-    def _rests(self) -> bool:
-        """Whether the joints obey a behavior that is meant, or are held for want of a Motion Manager.
-
-        The next one begins in Freeze or Fall; one that is merely silent would go on where it was.
-        """
-        return self._behavior in self._goal.reached or (self._holding and self._client.server is None)
+            return
+        undone, self._since = self._since is not None, None
+        for asked in self._asked:
+            asked.doubt(undone, now)
 
     def confirmed(self) -> str:
         """What the robot is known to be in, if that is what is meant."""
         if self._since is None or self._heard - self._since < LASTING:
             return ""
-        if self._behavior in self._goal.reached:
-            return self._behavior
-        return "held by comms_manager: there is no motion_manager"
+        return "brought to stand by comms_manager" if self._behavior == REFLEX else self._behavior
 
     def seen(self) -> str:
         """What is known of the motors."""
@@ -274,8 +302,6 @@ class _MotionSystem:
             if not self._node.discovery.connected:
                 return f"{self._node.daemon_silent}: nobody is found over Bifrost"
             return "comms_manager is silent: nothing tells what the motors do"
-        if self._holding:
-            return "motion_manager is silent: comms_manager holds the joints as long as it is"
         return f"the motors obey {self._behavior or 'nobody yet'}"
 
 

@@ -217,16 +217,18 @@ class Hardware(Backend):
         self._time += elapsed
 
     def _hand_out(self, commands: Commands) -> None:
-        if commands.silent and commands.limp and commands.motor is not None:
-            self._send(commands.motor)  # again and again: the motor controllers would hold a joint that hears nothing
-        elif commands.silent and commands.motor is not None:
-            if self._held is None:
-                self._held = holding(commands.motor, self._position, self._effort)
-            self._send(self._held)
-        elif commands.admitted != self._admitted and commands.motor is not None:
+        leader = commands.leader
+        if leader.silent and leader.limp and leader.motor is not None:
             self._held = None
-            self._send(commands.motor)
-        self._admitted = commands.admitted
+            self._send(leader.motor)  # again and again: the motor controllers would hold a joint that hears nothing
+        elif leader.silent and leader.motor is not None:
+            if self._held is None:
+                self._held = holding(leader.motor, self._position, self._effort)
+            self._send(self._held)
+        elif leader.admitted != self._admitted and leader.motor is not None:
+            self._held = None
+            self._send(leader.motor)
+        self._admitted = leader.admitted
 
     def _send(self, motor: Motor) -> None:
         """Hand a sound Motor to the devices; the last place where set-points are brought within limits."""

@@ -58,15 +58,16 @@ class Clock(ABC):
     def _obey(self, commands: Commands) -> None:
         """Hand the newest Motor to the actuators, or have them hold."""
         self._trace.mark(Stage.AWAIT_MOTOR)
-        if commands.silent:
-            if not (self._holding or commands.limp):
+        leader = commands.leader
+        if leader.silent and not leader.limp:
+            if not self._holding:
                 self._holding = True
                 actuators = self._plant.actuators
                 actuators.hold(self._plant.joint_position, actuators.effort.copy())
-        elif commands.admitted != self._admitted and commands.motor is not None:
+        elif leader.admitted != self._admitted and leader.motor is not None:
             self._holding = False
-            self._plant.actuators.obey(commands.motor)
-        self._admitted = commands.admitted
+            self._plant.actuators.obey(leader.motor)
+        self._admitted = leader.admitted
 
     @staticmethod
     def _wait(commands: Commands, age: int) -> float:
@@ -83,14 +84,14 @@ class Lockstep(Clock):
     def advance(self, commands: Commands) -> float:
         """Step the plant through one control period; returns the time spent waiting [s]."""
         waited = 0.0
-        if commands.silent:
+        if commands.leader.silent:
             commands.take()
         else:
             waited += self._wait(commands, age=0)
         self._obey(commands)
         self._step(self._steps)
         # Without a controller nobody wants the robot to age faster than the world.
-        self._unhurried = commands.abandoned
+        self._unhurried = commands.leader.abandoned
         return waited
 
 
@@ -103,7 +104,7 @@ class RealTime(Clock):
         """Step the plant through one control period; returns the time spent waiting [s]."""
         waited = 0.0
         commands.take()
-        if not commands.silent and commands.age > STALENESS:
+        if not commands.leader.silent and commands.age > STALENESS:
             waited += self._wait(commands, age=STALENESS)
         self._obey(commands)
         # A Motor usually arrives within one physics step: it acts from the second on, as it would on a robot.

@@ -19,7 +19,7 @@ class BehaviorHandler:
         fsm: BehaviorFsm,
         rejections: Rejections,
         conditions: Callable[[], Conditions],
-        out_of_control: Callable[[], str],
+        out_of_control: Callable[[Behavior], str],
     ) -> None:
         """Make the handler.
 
@@ -27,7 +27,7 @@ class BehaviorHandler:
             fsm: the Behavior FSM.
             rejections: where refusals are counted.
             conditions: gives what the robot's condition has against transitions.
-            out_of_control: gives why the Motion Manager has no robot in its hands now, or an empty text.
+            out_of_control: gives why the Motion Manager has no robot to bring into a behavior now, or an empty text.
         """
         self._fsm = fsm
         self._rejections = rejections
@@ -44,7 +44,7 @@ class BehaviorHandler:
                 "unknown",
                 f"unknown behavior {request.behavior[:64]!r}; expected one of {', '.join(Behavior)}",
             )
-        if target is not self._fsm.behavior and (reason := self._out_of_control()):
+        if target is not self._fsm.behavior and (reason := self._out_of_control(target)):
             return self._refuse(origin, "no_robot", reason)
         verdict = self._fsm.request(target, self._conditions(), origin)
         if not verdict.accepted:

@@ -47,7 +47,7 @@ def stop(
     """Stop the robot, by every path there is: it keeps its balance where it has one, else its joints are locked."""
     from valor.valorctl import stopping
 
-    stopping.run(Instance.from_environment(), stopping.LOCK if freeze else stopping.STOP, json)
+    stopping.run(Instance.from_environment(), stopping.LOCK if freeze else stopping.HALT, json)
 
 
 def mode(
