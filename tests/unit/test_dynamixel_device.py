@@ -19,6 +19,8 @@ from valor.common.messages import JointMode
 from valor.common.robot import RobotDescription
 from valor.common.table import checked, plain
 from valor.comms_manager.hardware.device import Device, DeviceError, Fault, JointCommands, JointMeasurement
+from valor.comms_manager.hardware.dynamixel_port import Answer
+from valor.comms_manager.hardware.dynamixel_servo import Servo
 from valor.device_emulators.emulator import EmulatedFault
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -225,24 +227,40 @@ def test_an_encoder_that_jumps_is_not_believed_and_its_joint_stays(bench: Bench)
         assert abs(truth - 0.4) < 0.45  # it went neither to where the encoder nor to where the command would have it
 
 
-def test_a_joint_that_is_knocked_is_believed(bench: Bench) -> None:
-    with bench.running() as driver:
-        send(driver, 0.0, 0.0)
-        comes_to(driver, YAW, 0.0)
-        plant = bench.robot.plant
+@pytest.mark.parametrize("speed", [12.0, 22.0, 50.0])
+def test_a_joint_that_is_knocked_is_believed(bench: Bench, speed: float) -> None:
+    """Twice as quick as its motor can and more, whenever between two answers; it is braked at 1300 rad/s²."""
+    bench.pause()
+    emulator: Any = bench.emulator
+    for each in emulator._servos[:LIDAR]:
+        each.servo.set(each.model.table.torque_enable, 1)
+        each.servo.set(each.model.table.goal_position, each.table.zero)
+    neck, plant = emulator._servos[YAW], bench.robot.plant
+    place = int(plant.model.mj.joint("neck_yaw").dofadr[0])
+    period, block = 20, neck.model.table.feedback  # [ms], as many steps of the plant
+    now = 0  # [ms]
 
-        def turns() -> bool:
-            """Knocked, and seen to turn: it is back so soon that a busy computer may miss it."""
-            with bench.lock:
-                plant.data.qvel[int(plant.model.mj.joint("neck_yaw").dofadr[0])] = 25.0  # four times what its motor can
-            until = time.monotonic() + 0.5
-            while (still := abs(position(driver, YAW)) <= 0.15) and time.monotonic() < until:
-                time.sleep(0.002)
-            return not still
+    def tell(servo: Servo) -> bool:
+        emulator._felt = -math.inf
+        emulator.step(1e-3 * now, bench.robot)
+        data = neck.servo.read(block.address, block.size)
+        return servo.take(Answer(data, 0, False), now * 1_000_000, shall_be_on=False)
 
-        wait_until(turns, 10, "the head turns")
-        comes_to(driver, YAW, 0.0)
-        assert driver.ailments == ()
+    for until in range(0, period, 3):
+        servo = Servo(ROBOT.tables.devices["neck"].servos[YAW], "neck", YAW, ROBOT)
+        reached = 0.0
+        for answer in range(25):
+            if answer == 5:
+                bench.robot.advance(until)
+                plant.data.qvel[place] = speed
+                bench.robot.advance(period - until)
+            else:
+                bench.robot.advance(period)
+            now += period
+            believed = tell(servo)
+            reached = max(reached, servo.position)
+        assert reached > 0.02 and servo.ailments == (), f"knocked {until} ms after an answer"
+        assert believed and abs(servo.position) < 0.06
 
 
 def test_a_servo_that_answers_seldom_holds_nobody_up(bench: Bench) -> None:

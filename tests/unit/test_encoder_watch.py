@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hypothesis import example, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from tests.conftest import examples
-from valor.comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, EncoderWatch
+from valor.comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, SMALLEST, EncoderWatch
 
 LIMIT = 6.0  # [rad/s]
 CYCLE = 0.02  # [s]
@@ -69,6 +69,29 @@ def test_a_knock_whose_velocity_is_told_late_is_no_jump(
     """Set going at once, slowed down by friction; a servo filters what it says of its velocity."""
     knock = side * speed * decay ** np.arange(count)
     watch, believed = hear(answers(np.concatenate((still, knock, still)), lag=lag))
+    assert not watch.jumped
+    assert believed[-1]
+
+
+@examples(80)
+@example(speed=25.0, brake=560.0, phase=0.0, side=1.0)
+@example(speed=22.0, brake=1300.0, phase=0.2, side=1.0)
+@given(st.floats(8.0, 50.0), st.floats(50.0, 1500.0), st.floats(0.0, 0.99), st.sampled_from([1.0, -1.0]))
+def test_a_knock_that_the_servo_brakes_is_no_jump(speed: float, brake: float, phase: float, side: float) -> None:
+    """Whenever between two answers it comes; the servo stops it within some, and brings the joint back.
+
+    Braked harder, and come far nevertheless, it is there and on its way back by the first answer, as after a jump.
+    """
+    assume(brake <= 600.0 or speed**2 / (2.0 * brake) < SMALLEST - 0.02)
+    fine = CYCLE / 200
+    slowed = np.arange(speed, -LIMIT, -brake * fine)
+    way = np.cumsum(slowed) * fine
+    back = np.full(max(0, math.ceil(way[-1] / (LIMIT * fine))), -LIMIT)
+    before = round((CALM + phase) * 200)
+    velocity = side * np.concatenate((np.zeros(before), slowed, back, np.zeros(CALM * 200)))
+    place = np.cumsum(velocity) * fine
+    told = [(float(place[k]), float(velocity[k]), k * fine) for k in range(0, len(place), 200)]
+    watch, believed = hear(told)
     assert not watch.jumped
     assert believed[-1]
 

@@ -2,7 +2,7 @@
 
 ::
 
-    knock   ___..-'''¯¯¯     answers on the way: their velocities fit, or it goes on with the next one
+    knock   ___..-'''¯¯¯     answers on the way: their velocities fit, or it goes on with the next one, or is braked
     jump    ______|¯¯¯¯¯     none: before and after, the joint goes on as it did
     glitch  ______|_____     leaps back
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 SPEED, MARGIN = 1.2, 0.05  # a joint moves by at most so many times its velocity limit, and so far [rad]
+SMALLEST = 0.24  # less is no jump: a joint that is knocked and braked at once may come so far between answers [rad]
 LONGEST_PAUSE = 0.1  # between answers; after a longer one the joint may be anywhere [s]
 MISFIT = 0.2  # of a movement, that may differ from what the velocities at its ends make of it
 # Of a leap's speed, at least, with the next answer: then it is a joint that moves. A knock may lose half of its speed
@@ -55,7 +56,7 @@ class EncoderWatch:
             time: of the answer, by the device's clock [s].
         """
         moved, elapsed = position - self.position, max(0.0, time - self._time)
-        mean = 0.5 * (self._velocity + velocity)
+        before, mean = self._velocity, 0.5 * (self._velocity + velocity)
         self.position, self._velocity, self._time = position, velocity, time
         if self.jumped or math.isnan(moved):
             return True
@@ -63,12 +64,12 @@ class EncoderWatch:
             self._leap = self._knocked = 0.0
             return True
         speed = moved / elapsed
-        quick = abs(moved) > self._limit * elapsed + MARGIN
+        quick = abs(moved) > max(SMALLEST, self._limit * elapsed + MARGIN)
         if self._leap:
             if abs(moved + self._leap) < 0.5 * abs(self._leap):  # back again
                 self._leap = 0.0
                 return True
-            if speed / self._speed >= GOES_ON:
+            if speed / self._speed >= GOES_ON or self._is_braked(moved, before, velocity, elapsed):
                 self._leap, self._knocked = 0.0, speed
                 return True
             self._doubts += 1
@@ -80,3 +81,18 @@ class EncoderWatch:
             return False
         self._knocked = speed if quick else 0.0
         return True
+
+    def _is_braked(self, moved: float, before: float, velocity: float, elapsed: float) -> bool:
+        """Whether a leap was a knock that the servo brakes at once, and turns round within an answer or two.
+
+        At the leap it said that it is quicker than it can be by itself; it moves on by what it says; and braked all the
+        time as it is now, it was quick enough to come so far.
+        """
+        side = math.copysign(1.0, self._leap)
+        mean = 0.5 * (before + velocity)
+        fastest = before + 0.5 * (before - velocity)  # on average, since the answer before the leap
+        return (
+            side * before > self._limit
+            and abs(moved - mean * elapsed) <= 0.5 * MARGIN + MISFIT * abs(moved)
+            and (1.0 - MISFIT) * abs(self._leap) <= MARGIN + side * fastest * self._leap / self._speed
+        )
