@@ -86,7 +86,7 @@ class RosClient:
     """An ordinary ROS 2 node that knows only public names; spins in a thread of its own."""
 
     def __init__(self, environment: Mapping[str, str], *, joint_states: bool = True) -> None:
-        """Join; without ``joint_states``, 250 a second of them are heard only while somebody asks for one."""
+        """Join; without ``joint_states``, 250 a second, there are no ``joint_positions``."""
         for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
             os.environ[key] = environment[key]
         import rclpy
@@ -105,7 +105,6 @@ class RosClient:
         self.joint_state: JointState | None = None
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(ControlModeStatus, "/flor/controller/mode", self.reports.append, latched)
-        self._listens = joint_states
         self._mode = ActionClient(
             self.node, ChangeControlMode, "/mode_controllers/control_mode_controller/change_control_mode"
         )
@@ -119,31 +118,21 @@ class RosClient:
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
         if joint_states:
-            self._listen()
+            self._call(self.node.create_subscription, JointState, "/joint_states", self._keep_joint_state, 10)
 
     def _spin(self) -> None:
         while self._context.ok() and not self._closing.is_set():
             self._executor.spin_once(timeout_sec=0.1)
-
-    def _listen(self) -> Any:
-        from sensor_msgs.msg import JointState
-
-        return self._call(self.node.create_subscription, JointState, "/joint_states", self._keep_joint_state, 10)
 
     def _keep_joint_state(self, message: Any) -> None:
         self.joint_state = message
 
     def joint_positions(self) -> dict[str, float]:
         """The newest joint positions [rad]; waits for the first."""
-        if not self._listens:
-            self.joint_state = None
-            heard = self._listen()
         deadline = time.monotonic() + 10.0
         while self.joint_state is None:
             assert time.monotonic() < deadline, "no /joint_states within 10 s"
             time.sleep(0.01)
-        if not self._listens:
-            self._call(self.node.destroy_subscription, heard)
         return dict(zip(self.joint_state.name, self.joint_state.position, strict=True))
 
     def change_mode(self, mode: str, timeout: float = 20.0) -> Any:

@@ -19,7 +19,7 @@ import pytest
 
 import bifrost
 from tests.conftest import wait_until
-from tests.integration.vrc.vrc_system import stamp
+from tests.integration.vrc.vrc_system import resting, stamp
 from tests.system import RosClient, System, leftovers, running, shared_memory
 from valor.analysis.results import Result
 from valor.common.instance import Instance
@@ -129,7 +129,7 @@ def test_stands_still(case: Case) -> None:
 
 
 def test_arm_goals_are_refused_in_stand(case: Case) -> None:
-    before = case.ros.joint_positions()
+    before = resting(case.ros)
     answer = case.ros.follow("right_arm", case.arm_goal({"r_shoulder_pitch": -0.5}))
     assert answer.result.error_code == INVALID_GOAL
     assert "stand" in answer.result.error_string and "right_arm" in answer.result.error_string
@@ -165,7 +165,7 @@ def test_an_experiment_tells_what_each_process_takes(
 def test_stand_manipulate_and_bad_goals(case: Case) -> None:
     status = case.ros.change_mode("stand_manipulate")
     assert status.status == MODE_ACCEPTED and status.current_control_mode == "stand_manipulate"
-    before = case.ros.joint_positions()
+    before = resting(case.ros)
     unknown = case.ros.follow("right_arm", case.arm_goal({"r_tail_wag": 0.1}))
     assert unknown.result.error_code == INVALID_JOINTS and "r_tail_wag" in unknown.result.error_string
     nan = case.ros.follow("right_arm", case.arm_goal({"r_elbow_pitch": math.nan}))

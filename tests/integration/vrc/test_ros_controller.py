@@ -6,7 +6,6 @@ import itertools
 import math
 import subprocess
 import sys
-from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
-from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, pass_robot_time, stamp
+from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, pass_robot_time, resting, stamp
 from tests.system import RosClient
 from valor.common.messages import (
     ControlModeReport,
@@ -55,14 +54,6 @@ def manipulating(ros: RosClient) -> RosClient:
 def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
     positions = ros.joint_positions()
     return {name: abs(positions[name] - value) for name, value in target.items()}
-
-
-def at_rest(ros: RosClient, joints: Iterable[str]) -> bool:
-    """Whether joints stand still, but for what balance and noise make of it."""
-    state = ros.joint_state
-    assert state is not None
-    speeds = dict(zip(state.name, state.velocity, strict=True))
-    return max(abs(speeds[name]) for name in joints) < 0.05
 
 
 def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, node: bifrost.Node) -> None:
@@ -222,7 +213,7 @@ def test_the_topic_changes_modes_and_an_emergency_stop_keeps_the_balance(ros: Ro
 
 def test_goals_are_refused_in_stand(ros: RosClient) -> None:
     go(ros, "stand")
-    before = ros.joint_positions()
+    before = resting(ros)
     answer = ros.follow("right_arm", [(2.0, FORWARD)])
     assert answer.status == STATUS_ABORTED and answer.result.error_code == INVALID_GOAL
     assert "right_arm_traj_controller" in answer.result.error_string and "stand" in answer.result.error_string
@@ -252,7 +243,7 @@ def test_arm_and_neck_reach_their_goals_without_a_jump(manipulating: RosClient, 
 
 
 def test_broken_goals_are_refused_and_nothing_moves(manipulating: RosClient) -> None:
-    before = manipulating.joint_positions()
+    before = resting(manipulating)
     broken = [
         ([(3.0, FORWARD | {"r_tail_wag": 0.1})], INVALID_JOINTS, "r_tail_wag"),
         ([(3.0, {"r_elbow_pitch": 0.1})], INVALID_JOINTS, "missing"),
@@ -290,7 +281,7 @@ def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_hand_closes_and_opens(manipulating: RosClient, side: Literal["left", "right"]) -> None:
     other = ROBOT.tables.hand_presets["open"]["right" if side == "left" else "left"]
-    before = manipulating.joint_positions()
+    before = resting(manipulating)
     for preset in ("close", "open"):
         target = ROBOT.tables.hand_presets[preset][side]
         answer = manipulating.follow(f"{side}_hand", [(1.0, target)])
@@ -380,7 +371,7 @@ def test_the_controller_manager_lists_and_switches_within_the_control_mode(manip
     partly = switch(best_effort, activate_controllers=["pelvis_traj_controller", arm])
     assert partly.ok and "pelvis_traj_controller" in partly.message
 
-    held = manipulating.joint_positions()
+    held = resting(manipulating)
     assert switch(strict, deactivate_controllers=[arm]).ok
     assert listed()[arm].state == "inactive" and not listed()[arm].claimed_interfaces
     answer = manipulating.follow("right_arm", [(2.0, HOME)])
@@ -470,8 +461,7 @@ def test_a_canceled_goal_holds(manipulating: RosClient) -> None:
     manipulating._wait(manipulating._call(handle.cancel_goal_async), PATIENCE, "the cancellation")
     answer = manipulating._wait(manipulating._call(handle.get_result_async), PATIENCE, "the end of the goal")
     assert answer.status == STATUS_CANCELED
-    wait_until(lambda: at_rest(manipulating, FORWARD), PATIENCE, "the arm to stand still")
-    held = manipulating.joint_positions()
+    held = resting(manipulating)
     pass_robot_time(manipulating, 1.0)
     assert max(errors(manipulating, {name: held[name] for name in FORWARD}).values()) < 0.02
     assert abs(held[elbow] - FORWARD[elbow]) > 0.2, "the arm went to the goal"
@@ -501,7 +491,7 @@ def test_mode_changes_do_not_make_the_motion_system_refuse_set_points_for_long(
 def test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold(
     system: RunningInstance, manipulating: RosClient, node: bifrost.Node
 ) -> None:
-    held = manipulating.joint_positions()
+    held = resting(manipulating)
     system.kill(VRC)
     state = node.subscriber(MOTION_STATE.name, MotionState)
     manipulating.reports.clear()

@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.system import RosClient
 from valor.common.messages import ModeStatus
 
 VRC = "valor_ros_controller"
 PATIENCE = 60.0  # [s]
+STILL, MOTION = 50, 0.003  # joint states in which no joint has moved by more; noise alone makes 0.0015 [rad]
 
 
 @contextmanager
@@ -67,6 +70,25 @@ class Topic:
 
     def close(self) -> None:
         self._ros.destroy(self._ros.node.destroy_subscription, self._subscription)
+
+
+def resting(ros: RosClient) -> dict[str, float]:
+    """Joint positions [rad] of a robot that stands still, to be compared with later.
+
+    The test before may have left it settling: for a second after a goal an arm goes on by some hundredths.
+    """
+    from sensor_msgs.msg import JointState
+
+    states = Topic(ros, JointState, "/joint_states")
+
+    def still() -> bool:
+        last = [state.position for state in states.messages[-STILL:]]
+        return len(last) == STILL and float(np.ptp(last, axis=0).max()) < MOTION
+
+    wait_until(still, PATIENCE, "the robot at rest")
+    state = states.messages[-1]
+    states.close()
+    return dict(zip(state.name, state.position, strict=True))
 
 
 def stamp(message: Any) -> int:
