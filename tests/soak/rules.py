@@ -64,7 +64,8 @@ def outcomes(event: str, process: str, behavior: Behavior) -> frozenset[Behavior
     if event == "up":  # brought to Stand afterwards, or begun anew when it was there
         return frozenset({Behavior.STAND, Behavior.FREEZE}) | (fall if process in _WORLDS else frozenset())
     if event == "unplug":
-        return stay | ({UNITS_NEEDED[process]} if behavior in _BALANCING and process in UNITS_NEEDED else frozenset())
+        needed = behavior in _BALANCING and process in UNITS_NEEDED
+        return stay | ({UNITS_NEEDED[process]} | (fall if behavior in STEPPING else set()) if needed else frozenset())
     if (event, process) == ("kill", "motion_manager"):
         return frozenset({RESUMED[behavior]}) | (fall if behavior in STEPPING else frozenset())
     if event == "kill" and process in _WORLDS:  # another world, or a gap

@@ -34,7 +34,8 @@ class Outcome:
         ready: from the end of the event until everything was ready again [s].
         last: what was waited for last.
         stands: from then until the robot stood, by commands [s]; NaN: another ``up`` was needed.
-        moved: the largest movement of a joint, until somebody commanded [rad]; NaN: it is another robot.
+        moved: the largest movement of a joint, until somebody commanded [rad]; NaN: it is another robot, or one of
+            which a limb had no power.
         failures: what was not as it must be.
     """
 
@@ -113,15 +114,13 @@ class Soak:
         allowed = frozenset[Behavior]().union(*(outcomes(event.kind, name, before) for name in event.hit or ("",)))
         if not event.commands and rig.behavior not in allowed:
             outcome.failures.append(f"{rig.behavior} ({self._reason()}); expected {', '.join(sorted(allowed))}")
-        if event.kind == "up" or (event.kind in ("kill", "cap") and self._world in event.hit):  # another robot
+        another = event.kind == "up" or (event.kind in ("kill", "cap") and self._world in event.hit)
+        if another or event.kind == "unplug":  # and what has no power is not held
             outcome.moved = float("nan")
-        holds = (
-            activity.held and before not in STEPPING and event.kind not in ("", "unplug")
-        )  # without power nothing does
-        if holds and outcome.moved > HELD:
+        if event.kind and activity.held and before not in STEPPING and outcome.moved > HELD:
             outcome.failures.append(f"{joint} moved {outcome.moved:.3f} rad")
-        if rig.behavior is Behavior.FALL and not rig.system.status()["fallen"]:
-            outcome.failures.append("has fallen, and `valorctl status` does not say so")
+        if rig.behavior is Behavior.FALL:
+            rig.wait(lambda: rig.system.status()["fallen"], "`valorctl status` saying that it has fallen", 20.0)
         if rig.tap.height < LOW and rig.behavior in UPRIGHT:
             outcome.failures.append(f"lies on the floor (pelvis at {rig.tap.height:.2f} m) and says {rig.behavior}")
 
