@@ -76,7 +76,10 @@ _SOME = ("standing", "walking", "arm on its way", "fallen")
 _FEW = ("standing", "walking")
 _ON_FEET = ("standing",)
 MEASURED: Sequence[tuple[str, Sequence[str]]] = (
-    ("kill (motion|comms)_manager|stop (motion|comms)_manager 7 s", _ALL),
+    ("kill motion_manager", _ALL),
+    ("stop motion_manager 7 s", _ALL),
+    ("kill comms_manager", _ALL),
+    ("stop comms_manager 7 s", _ALL),
     ("kill valor_ros_controller|stop valor_ros_controller 7 s", _SOME),
     ("kill (bifrostd|bag_recorder|footstep_converter)", ("standing", "walking", "stepping")),
     ("stop (bifrostd|bag_recorder|footstep_converter) 7 s", ("standing", "walking", "stepping")),
@@ -95,12 +98,17 @@ MEASURED: Sequence[tuple[str, Sequence[str]]] = (
 """Event (its whole name) → what the robot does meanwhile: rows worth an hour of measuring, the first that fits."""
 
 
+def _line_of(event: str) -> int | None:
+    """Where in the table of what is measured an event stands; None: nowhere."""
+    return next((i for i, (name, _) in enumerate(MEASURED) if re.fullmatch(name, event)), None)
+
+
 def everything(events: Iterable[str]) -> list[str]:
     """All rows that are measured, of the events that a profile has."""
     rows = []
     for event in events:
-        activities = next((each for name, each in MEASURED if re.fullmatch(name, event)), ())
-        rows += [f"{activity}/{event}" for activity in activities]
+        if (line := _line_of(event)) is not None:
+            rows += [f"{activity}/{event}" for activity in MEASURED[line][1]]
     return rows
 
 
@@ -131,14 +139,11 @@ def table(outcomes: Sequence[Mapping[str, Any]], profile: str) -> list[str]:
     """The lines of a profile's table in Markdown: of each event a line for every way in which it ends."""
     made: dict[str, dict[str, list[Mapping[str, Any]]]] = defaultdict(lambda: defaultdict(list))
     for each in outcomes:
-        if (
-            each["profile"] == profile
-            and each["before"]
-            and any(re.fullmatch(name, each["event"]) for name, _ in MEASURED)
-        ):
+        begun = bool(each["before"])  # else the robot never came to do that
+        if each["profile"] == profile and begun and _line_of(each["event"]) is not None:
             made[each["event"]][each["activity"]].append(each)
     lines = [HEAD, "|" + HEAD.count(" | ") * "---|" + "---|"]
-    for event in sorted(made):
+    for event in sorted(made, key=lambda each: (_line_of(each), each)):
         alike: dict[str, list[str]] = defaultdict(list)
         for activity in sorted(made[event], key=list(ACTIVITIES).index):
             alike[verdict(made[event][activity])].append(activity)
