@@ -35,7 +35,7 @@ def measured() -> Iterator[tuple[str, list[str]]]:
     """Profile and cells of each line of the tables."""
     for part in TEXT.split("### Profile `")[1:]:
         profile = part.partition("`")[0]
-        for line in re.findall(r"^\| (.+) \|$", part, re.MULTILINE)[1:]:
+        for line in re.findall(r"^\| (.+) \|$", part.partition("\n## ")[0], re.MULTILINE)[1:]:
             yield profile, line.split(" | ")
 
 
