@@ -1,0 +1,254 @@
+"""Where "enough" and "too much" begin: every condition of the Motion Manager on both sides of its limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from bifrost import Received
+from tests.conftest import examples
+from tests.unit.test_motion_manager_bypass import goal, lead, standing
+from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
+from valor.common.messages import BalanceWeights
+from valor.common.robot import FloatVector
+from valor.motion_manager.hand_contact import HandContacts
+from valor.motion_manager.handlers.hand_goal import FARTHEST, NORM
+from valor.motion_manager.handlers.joint_setpoints import STALE
+from valor.motion_manager.joint_gains import CHANGE_TIME, JointGains
+from valor.motion_manager.manager import FEET_LOAD, FOOT_LOAD, UPRIGHT
+from valor.motion_manager.posture_move import PostureMove
+from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.watchdogs import LONGEST_GAP, ProprioceptorWatchdog
+
+TILT = UPRIGHT * ROBOT.tables.fall.tilt
+FOUND = Robot()
+FOUND.tick()
+STATE = FOUND.manager._state
+assert STATE is not None
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+@examples(60)
+def test_the_feet_carry_enough_each_and_together(left: float, right: float) -> None:
+    assume(min(abs(left - FOOT_LOAD), abs(right - FOOT_LOAD), abs(left + right - FEET_LOAD)) > 1e-3)
+    weight = FOUND.manager._weight
+    assert weight == pytest.approx(WEIGHT, rel=0.01)
+    told = FOUND.manager._not_loaded(replace(STATE, foot_forces=weight * np.array((left, right))))
+    if left < FOOT_LOAD:
+        assert told.startswith("the left foot carries")
+    elif right < FOOT_LOAD:
+        assert told.startswith("the right foot carries")
+    elif left + right < FEET_LOAD:
+        assert told.startswith("the feet carry")
+    else:
+        assert told == ""
+
+
+@given(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
+@examples(60)
+def test_upright_is_a_pelvis_whose_axis_is_near_the_vertical_wherever_it_heads(tilt: float, heading: float) -> None:
+    assume(abs(abs(tilt) - TILT) > 1e-3)
+    c, s, ch, sh = np.cos(tilt), np.sin(tilt), np.cos(heading), np.sin(heading)
+    turned = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]]) @ [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
+    told = FOUND.manager._not_upright(replace(STATE, pelvis_rotation_in_odom=turned))
+    assert told.startswith("the pelvis is tilted") == (abs(tilt) > TILT)
+    assert (told == "") == (abs(tilt) < TILT)
+
+
+# --- what comes from the robot ------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.tuples(st.integers(-3, 80), st.integers(-3, 80)), min_size=1, max_size=8))
+@examples(100)
+def test_a_gap_is_what_lies_between_two_states_and_all_between_is_missed(steps: list[tuple[int, int]]) -> None:
+    watchdog, time, sequence, missed = ProprioceptorWatchdog(N), 10**9, 1000, 0
+    assert watchdog.discontinuity(FOUND.proprioceptor(time=time, sequence=sequence)) is None
+    for passed, numbers in steps:
+        time, sequence = time + passed * PERIOD, sequence + numbers
+        said = FOUND.proprioceptor(time=time, sequence=sequence)
+        assert watchdog.repeated(said) == (passed == 0 and numbers == 0)
+        gap = watchdog.discontinuity(said)
+        if passed <= 0 or numbers <= 0:
+            assert gap is not None
+            assert not gap.same_world
+            assert "another world" in gap.reason
+        else:
+            missed += numbers - 1
+            long = passed * PERIOD > LONGEST_GAP * 1e9
+            assert (gap is not None) == long
+            assert gap is None or (gap.same_world and gap.reason.startswith("no Proprioceptor for"))
+        assert watchdog.missed == missed
+
+
+@pytest.mark.parametrize(("norm", "sound"), [(0.994, False), (0.996, True), (1.004, True), (1.006, False)])
+def test_an_attitude_is_a_unit_quaternion(norm: float, sound: bool) -> None:
+    watchdog = ProprioceptorWatchdog(N)
+    said = FOUND.proprioceptor(imu_orientation=norm * tilted(0.3))
+    for malformed in range(1, 4):
+        assert (watchdog.fault(said) == "") == sound
+        assert watchdog.malformed == (0 if sound else malformed)
+    assert watchdog.fault(FOUND.proprioceptor()) == ""
+    assert watchdog.malformed == 0, "in a row"
+
+
+forces = st.floats(0.0, 30.0) | st.sampled_from([ROBOT.tables.hands.contact_on, ROBOT.tables.hands.contact_off])
+
+
+@given(st.lists(st.tuples(forces, forces, st.integers(0, 2)), min_size=1, max_size=12))
+@examples(60)
+def test_a_hand_touches_from_the_one_force_on_until_the_other(felt: list[tuple[float, float, int]]) -> None:
+    hands = ROBOT.tables.hands
+    contacts = HandContacts(hands)
+    expected = [0, 0]
+    for left, right, axis in felt:
+        wrenches = []
+        for side, force in enumerate((left, right)):
+            wrench = np.full(6, 1000.0)  # its torque does not count
+            wrench[:3] = 0.0
+            wrench[axis] = -force if side else force
+            wrenches.append(wrench)
+            expected[side] = int(force**2 > (hands.contact_off if expected[side] else hands.contact_on) ** 2)
+        before = contacts.contacts
+        contacts.update(FOUND.proprioceptor(left_hand_wrench=wrenches[0], right_hand_wrench=wrenches[1]))
+        assert contacts.contacts.tolist() == expected
+        assert contacts.touching == any(expected)
+        assert (contacts.contacts is before) == np.array_equal(contacts.contacts, before)
+
+
+# --- what comes from others ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def manipulating() -> Robot:
+    return standing()
+
+
+def beside(length: float) -> FloatVector:
+    """A position so far along y."""
+    return np.array((0.0, length, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "obeyed"),
+    [
+        ({"hand": -1}, False),
+        ({"hand": 0}, True),
+        ({"frame": "odom"}, True),
+        ({"position": beside(-FARTHEST)}, True),
+        ({"position": beside(-FARTHEST - 0.01)}, False),
+        ({"position": np.full(3, FARTHEST)}, True),
+        ({"position": np.zeros(4)}, False),
+        ({"orientation": np.array((0.0, 1.0 + 0.9 * NORM, 0.0, 0.0))}, True),
+        ({"orientation": np.array((0.0, 1.0 + 1.1 * NORM, 0.0, 0.0))}, False),
+        ({"orientation": np.array((0.0, 1.0 - 1.1 * NORM, 0.0, 0.0))}, False),
+        ({"orientation": np.array((0.0, np.inf, 0.0, 0.0))}, False),
+        ({"orientation": np.array((0.0, 1.0, 0.0))}, False),
+        ({"age": STALE - 0.01}, True),
+        ({"age": STALE + 0.01}, False),
+        ({"age": -STALE + 0.01}, True),
+        ({"age": -STALE - 0.01}, False),
+        ({"active": False, "frame": "nowhere", "position": np.zeros(0)}, True),
+    ],
+)
+def test_a_hand_goal_is_obeyed_within_its_limits(manipulating: Robot, changes: dict[str, object], obeyed: bool) -> None:
+    robot, age = manipulating, float(changes.get("age", 0.0))  # type: ignore[arg-type]
+    wanted = {key: value for key, value in changes.items() if key != "age"}
+    wanted = {"position": beside(0.3), "time": robot.time - round(1e9 * age)} | wanted
+    for side in (0, 1):
+        robot.manager.hand_goals.release(side, "test")
+    assert lead(robot, goal(robot, **wanted), str(changes)) is obeyed  # type: ignore[arg-type]
+    side = int(wanted.get("hand", 1))  # type: ignore[call-overload]
+    led = [robot.manager.hand_goals.leads(each) for each in (0, 1)]
+    assert led == [obeyed and wanted.get("active", True) is True and each == side for each in (0, 1)]
+    for each in (0, 1):
+        robot.manager.hand_goals.release(each, "test")
+
+
+@pytest.mark.parametrize("weight", [-1e-9, np.nan, np.inf])
+def test_a_weight_is_a_finite_number_that_is_not_negative(manipulating: Robot, weight: float) -> None:
+    manager = manipulating.manager
+    asked = manager._controller.weights.asked.copy()
+    message = BalanceWeights(["com"], np.array((weight,)))
+    assert not manager.tuning_handler.handle_weights(Received(message, 0, 1, f"{weight}"))
+    assert not manager.tuning_handler.handle_weights(Received(BalanceWeights([], np.zeros(0)), 0, 1, f"none {weight}"))
+    np.testing.assert_array_equal(manager._controller.weights.asked, asked)
+    assert manager.tuning_handler.handle_weights(Received(BalanceWeights(["com"], np.zeros(1)), 0, 1, "zero"))
+    assert manager._controller.weights.asked[0] == manager._controller.weights.lower[0]
+
+
+def test_refusals_are_told_apart_by_topic_sender_and_kind_and_remembered_within_bounds(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    rejections = Rejections()
+    kinds = [(topic, origin, kind) for topic in "ab" for origin in "cd" for kind in "ef"]
+    for _ in range(3):
+        for topic, origin, kind in kinds:
+            rejections.add(topic, origin, kind, "why")
+    told = rejections.take()
+    assert [(each.topic, each.origin, each.count) for each in told] == [
+        (topic, origin, 1 + i % 4) for i, (topic, origin, _) in enumerate(kinds)
+    ]
+    assert {each.reason for each in told} == {"why"}
+    assert rejections.take() == []
+    assert (rejections.count("a"), rejections.count("b"), rejections.count("z"), rejections.total) == (12, 12, 0, 24)
+    assert len(caplog.records) == len(kinds)
+    for i in range(1000):
+        rejections.add("a", f"stranger {i}", "e", "why")
+    assert len(rejections._published) < 1000
+
+
+# --- what changes gradually ---------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.tuples(st.sampled_from(range(N)), st.floats(0.0, 3.0), st.integers(0, 300)), max_size=3))
+@examples(12)
+def test_a_gain_goes_by_its_nominal_value_in_a_time_and_arrives(asked: list[tuple[int, float, int]]) -> None:
+    gains = JointGains(ROBOT, np.ones(N, dtype=bool))
+    nominal = (ROBOT.servo_stiffness, ROBOT.servo_damping)
+    steps = [ROBOT.control_period / CHANGE_TIME * each for each in nominal]
+    goals = [each.copy() for each in nominal]
+    assert not gains.advance()
+    for joint, factor, periods in asked:
+        for wanted, each in zip(goals, nominal, strict=True):
+            wanted[joint] = factor * each[joint]
+        gains.ask(np.array([joint]), goals[0][[joint]], goals[1][[joint]])
+        for _ in range(periods):
+            before = (gains.stiffness, gains.damping)
+            changed = gains.advance()
+            for then, now, wanted, step in zip(before, (gains.stiffness, gains.damping), goals, steps, strict=True):
+                expected = then + np.clip(wanted - then, -step, step)
+                assert np.abs(now - expected).max() < 1e-9
+            assert changed == any(not np.array_equal(then, wanted) for then, wanted in zip(before, goals, strict=True))
+    gains.reset()
+    assert not gains.advance()
+    np.testing.assert_array_equal((gains.stiffness, gains.damping), nominal)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 1.0), st.floats(0.0, 10.0))
+@examples(40)
+def test_a_move_is_as_quick_as_its_limits_allow_and_knows_how_far_it_is(
+    seed: int, shortest: float, began: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    start, goal_ = rng.uniform(-1, 1, 5), rng.uniform(-1, 1, 5)
+    velocity, acceleration = rng.uniform(0.1, 2, 5), rng.uniform(1, 20, 5)
+    move = PostureMove(start, goal_, velocity=velocity, acceleration=acceleration, began=began, shortest=shortest)
+    times = began + np.linspace(0.0, move.duration, 401)
+    peaks = [np.abs([move.at(float(t))[k] for t in times]).max(0) for k in (1, 2)]
+    used = max((peaks[0] / velocity).max(), (peaks[1] / acceleration).max())
+    assert used == pytest.approx(1.0, abs=2e-3) or (used < 1.0 and move.duration == shortest)
+    end = began + move.duration
+    for now in (began - 1.0, began, began + 0.3 * move.duration, end, end + 1.0):
+        share = min(1.0, max(0.0, (now - began) / move.duration))
+        assert move.progress(now) == pytest.approx(share)
+        assert move.remaining(now) == pytest.approx((1.0 - share) * move.duration)
+        assert move.since_arrival(now) == pytest.approx(now - end)
+        np.testing.assert_allclose(move.at(now)[0], start + move.gone(now) * (goal_ - start))
+    shares = [move.gone(float(t)) for t in times]
+    assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
+    assert all(one <= other + 1e-12 for one, other in pairwise(shares))
