@@ -20,9 +20,9 @@ from valor.motion_manager.hand_contact import HandContacts
 from valor.motion_manager.handlers.hand_goal import FARTHEST, NORM
 from valor.motion_manager.handlers.joint_setpoints import STALE
 from valor.motion_manager.joint_gains import CHANGE_TIME, JointGains
-from valor.motion_manager.manager import FEET_LOAD, FOOT_LOAD, UPRIGHT
 from valor.motion_manager.posture_move import PostureMove
 from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.stance import FEET_LOAD, FOOT_LOAD, UPRIGHT, Stance
 from valor.motion_manager.watchdogs import LONGEST_GAP, ProprioceptorWatchdog
 
 TILT = UPRIGHT * ROBOT.tables.fall.tilt
@@ -30,15 +30,14 @@ FOUND = Robot()
 FOUND.tick()
 STATE = FOUND.manager._state
 assert STATE is not None
+STANCE = Stance(ROBOT, WEIGHT)
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @examples(60)
 def test_the_feet_carry_enough_each_and_together(left: float, right: float) -> None:
     assume(min(abs(left - FOOT_LOAD), abs(right - FOOT_LOAD), abs(left + right - FEET_LOAD)) > 1e-3)
-    weight = FOUND.manager._weight
-    assert weight == pytest.approx(WEIGHT, rel=0.01)
-    told = FOUND.manager._not_loaded(replace(STATE, foot_forces=weight * np.array((left, right))))
+    told = STANCE.lost(replace(STATE, foot_forces=WEIGHT * np.array((left, right))))
     if left < FOOT_LOAD:
         assert told.startswith("the left foot carries")
     elif right < FOOT_LOAD:
@@ -55,7 +54,7 @@ def test_upright_is_a_pelvis_whose_axis_is_near_the_vertical_wherever_it_heads(t
     assume(abs(abs(tilt) - TILT) > 1e-3)
     c, s, ch, sh = np.cos(tilt), np.sin(tilt), np.cos(heading), np.sin(heading)
     turned = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]]) @ [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
-    told = FOUND.manager._not_upright(replace(STATE, pelvis_rotation_in_odom=turned))
+    told = STANCE.lost(replace(STATE, pelvis_rotation_in_odom=turned))
     assert told.startswith("the pelvis is tilted") == (abs(tilt) > TILT)
     assert (told == "") == (abs(tilt) < TILT)
 
