@@ -55,7 +55,7 @@ class BehaviorCommander(threading.Thread):
         self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
         self.answered: Callable[[], None] = lambda: None
         self._client = node.client(topics.BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._stop = node.client(topics.STOP.name, BehaviorRequest, BehaviorReply)
+        self._stopper = node.client(topics.STOP.name, BehaviorRequest, BehaviorReply)
         self._wake = threading.Event()
         self._closing = False
         self.start()
@@ -82,7 +82,7 @@ class BehaviorCommander(threading.Thread):
                 self.answered()
 
     def _call(self, number: int, behavior: str) -> BehaviorAnswer:
-        client = self._stop if behavior in STOPS and self._client.server is None else self._client
+        client = self._stopper if behavior in STOPS and self._client.server is None else self._client
         try:
             reply = client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
         except bifrost.Error as error:
@@ -98,4 +98,4 @@ class BehaviorCommander(threading.Thread):
         if self.is_alive():
             self.join()
         self._client.close()
-        self._stop.close()
+        self._stopper.close()
