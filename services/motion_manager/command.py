@@ -164,12 +164,12 @@ class MotorCommand:
         position, velocity, effort, *led = (wanted[i, :] for i in range(5))
         joints = np.flatnonzero(self._led).tolist()
         position[joints], velocity[joints] = led[0][joints], led[1][joints]
+        squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort)  # of what is wanted: no limit hides one
         compliant = np.flatnonzero(self._compliant).tolist()
         limit = ca.DM(self._effort_limit).T[compliant]
         limited = ca.SX(1, effort.shape[1])
         limited[compliant] = clipped(effort[compliant], -limit, limit)
         position = clipped(position, ca.DM(self._lower).T, ca.DM(self._upper).T)
-        squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort)
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
         return ca.vertcat(position, velocity, limited), ca.vertcat(squares, beyond)
 
