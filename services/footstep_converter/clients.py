@@ -19,6 +19,7 @@ from rclpy.timer import Timer
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import StepPlan
 
+from valor.common.floods import TopicFloods
 from valor.footstep_converter.execution import End, Execution, Outcome
 from valor.footstep_converter.feedback import FeedbackMaker, final_state
 from valor.footstep_converter.plan import ODOM
@@ -138,7 +139,11 @@ class PublishedPlan:
 
 
 class Clients:
-    """Serves the action and the topic. ``begin`` is given each new goal, ``stop`` each that its client cancels."""
+    """Serves the action and the topic. ``begin`` is given each new goal, ``stop`` each that its client cancels.
+
+    Attributes:
+        floods: of the topic.
+    """
 
     def __init__(self, node: Node, executor: Any, begin: Callable[[Goal], None], stop: Callable[[Goal], None]) -> None:
         self._node = node
@@ -149,7 +154,8 @@ class Clients:
         self._goals: dict[bytes, ActionGoal] = {}
         latched = QoSProfile(depth=WORDS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._feedback = node.create_publisher(ExecuteStepPlan.Feedback, FEEDBACK, latched)
-        node.create_subscription(StepPlan, EXECUTE, self._published, 10)
+        self.floods = TopicFloods(lambda topic: (one.node_name for one in node.get_publishers_info_by_topic(topic)))
+        node.create_subscription(StepPlan, EXECUTE, self.floods.counted(EXECUTE, self._published), 10)
         # Every goal is accepted and then refused with a result: ROS has no words for a rejected goal.
         self._server = ActionServer(node, ExecuteStepPlan, EXECUTE, self._execute, cancel_callback=self._cancel)
 

@@ -74,6 +74,7 @@ class FootstepConverter:
         self._stopping = context.stopping
         self._statistics = context.statistics
         self._robot = context.robot
+        self._ros_refusal = context.settings.ros_refusal
         self._motion = MotionSystem(context.node)
         self._ros = rclpy.Context()
         rclpy.init(
@@ -100,7 +101,7 @@ class FootstepConverter:
 
     def run(self) -> None:
         """Serve until told to stop."""
-        self._statistics.watch(self._motion.heard)
+        self._statistics.watch(self._motion.heard, self._clients.floods)
         self._statistics.state("ready")
         while not self._stopping.is_set():
             self._turn()
@@ -127,7 +128,9 @@ class FootstepConverter:
 
     def _begin(self, goal: Goal) -> None:
         """A new goal: a plan to hand over, or a stop."""
-        if goal.cancel_requested:
+        if self._ros_refusal:
+            self._refuse(goal, _not_now(self._ros_refusal))
+        elif goal.cancel_requested:
             goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "canceled before it was handed over"))
         elif not goal.plan.steps and self._busy:
             self._stop_goals.append(goal)

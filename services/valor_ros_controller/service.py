@@ -108,6 +108,7 @@ class ValorRosController:
             context.node, BehaviorCommander(context.node), self._hw, decimation, silence_timeout
         )
         mode_controller = ControlModeController(modes, self._interface)
+        mode_controller.refusal = refusal = context.settings.ros_refusal
         trajectories = {
             name: JointTrajectoryController(name, config, self._hw, modes.running(name))
             for name, config in (controllers.joint_controllers | controllers.robot_controllers).items()
@@ -135,8 +136,9 @@ class ValorRosController:
             self._interface,
             (tree.base_frame, tree.base),
             soft_stop=lambda: mode_controller.request(SOFT_STOP),
+            refusal=refusal,
         )
-        context.statistics.watch((*self._interface.heard, *self._bypass.heard))
+        context.statistics.watch((*self._interface.heard, *self._bypass.heard), self._ros.floods)
         self._motion = MotionStatePublisher(node, self._stamp, rate)
         self._status = RobotStatusPublisher(node, self._interface)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)
@@ -150,6 +152,7 @@ class ValorRosController:
             rate=rate,
             stamp=self._stamp,
             silent=lambda: self._interface.silent,
+            refusal=refusal,
         )
         self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
         hardware = context.settings.variant == "hardware"
@@ -157,6 +160,8 @@ class ValorRosController:
         self._diagnostics = Diagnostics(node, context.node, self._snapshots, rate, processes)
         self._cycles = 0
         self._next_snapshot = 0.0
+        if refusal:
+            self._parameters.refuse_changes(refusal)
 
     def _open_controllers(
         self,
@@ -166,11 +171,12 @@ class ValorRosController:
     ) -> list[ControllerStatePublisher]:
         """Parameters, actions and topics of the trajectory and tracking controllers."""
         node, parameters, queue = self._ros.node, self._parameters, self._controller.queue
+        refusal = self._context.settings.ros_refusal
         configs = table.joint_controllers | table.robot_controllers
         states = []
         for name, controller in trajectories.items():
             TrajectoryParameters(parameters, controller, configs[name])
-            JointTrajectoryAction(node, f"{table.namespace}/{name}", controller, self._stamp, queue)
+            JointTrajectoryAction(node, f"{table.namespace}/{name}", controller, self._stamp, queue, refusal=refusal)
             states.append(self._open_state(table, name, controller, configs[name].state_publish_rate))
         for name, follower in tracking.items():
             TrackingAction(node, f"{table.namespace}/{name}", follower)

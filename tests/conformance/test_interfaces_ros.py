@@ -172,11 +172,14 @@ CONSTANTS = {
 }
 
 SERVER = """
+    import time
+
     import rclpy
     from control_msgs.action import FollowJointTrajectory
     from rclpy.action import ActionServer
     from valor_msgs.msg import JointSetpoints
 
+    FEEDBACK = "arm/follow_joint_trajectory/_action/feedback"
     rclpy.init()
     node = rclpy.create_node("server")
     setpoints = node.create_publisher(JointSetpoints, "setpoints", 10)
@@ -186,6 +189,10 @@ SERVER = """
         last = request.trajectory.points[-1]
         feedback = FollowJointTrajectory.Feedback(joint_names=request.trajectory.joint_names, desired=last)
         feedback.header.frame_id = request.path_tolerance[0].name
+        given_up = time.monotonic() + 20.0  # nobody hears what is published before they have found each other
+        while not (setpoints.get_subscription_count() and node.count_subscribers(FEEDBACK)):
+            assert time.monotonic() < given_up
+            time.sleep(0.01)
         goal.publish_feedback(feedback)
         message = JointSetpoints(bifrost_sequence=2**64 - 1, names=request.trajectory.joint_names,
                                  position=last.positions, time=-(2**63))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from bifrost import Limit
+from bifrost.limits import Meter
 
 STREAM = Limit(rate=10_000.0, burst=2_000)
 """Of what comes every control period: many times that, for robots simulated as quickly as they can be."""
@@ -15,7 +17,14 @@ COMMANDS = Limit(rate=2_000.0, burst=500)
 REQUESTS = Limit(rate=100.0, burst=100)
 """Of requests: persons and plans ask a few times a second."""
 
+ROS_TOPIC = Limit(rate=500.0, burst=250)
+"""Of what is taken from one ROS topic with commands: persons and planners send less, and controllers half of it."""
+
 REMEMBERED = 3.0  # a sender is told for so long after it was muted last: longer than until it is muted again [s]
+
+
+M = TypeVar("M")
+_log = logging.getLogger("floods")
 
 
 class Input(Protocol):
@@ -44,3 +53,45 @@ class Floods:
                 self._last[f"{name} floods {each.topic}"] = now
         self._last = {flood: at for flood, at in self._last.items() if now - at < REMEMBERED}
         return f"{', '.join(sorted(self._last))}: muted while it goes on" if self._last else ""
+
+
+class TopicFloods:
+    """Who floods a ROS topic. What is taken of it is bounded elsewhere; here it is counted, and who sends it named.
+
+    ROS does not say whom a message is from: named are all who publish on the topic.
+    """
+
+    def __init__(self, publishers: Callable[[str], Iterable[str]], clock: Callable[[], float] = time.monotonic) -> None:
+        """Nothing floods yet.
+
+        Args:
+            publishers: names of the nodes that publish on a topic.
+            clock: monotonic [s].
+        """
+        self._publishers = publishers
+        self._clock = clock
+        self._last: dict[str, float] = {}  # replaced as a whole: told from another thread
+
+    def counted(self, topic: str, callback: Callable[[M], object]) -> Callable[[M], None]:
+        """A callback that counts what it is called with, and then calls the one that is given."""
+        meter = Meter(ROS_TOPIC)
+
+        def count(message: M) -> None:
+            if meter.exceeds(1, int(self._clock() * 1e9)):
+                self._note(topic)
+            callback(message)
+
+        return count
+
+    def told(self) -> str:
+        """One line for a person; empty if nobody floods anything. From any thread."""
+        now = self._clock()
+        return ", ".join(sorted(flood for flood, at in self._last.items() if now - at < REMEMBERED))
+
+    def _note(self, topic: str) -> None:
+        now = self._clock()
+        flood = f"{' or '.join(sorted(set(self._publishers(topic)))) or 'somebody'} floods {topic}"
+        if now - self._last.get(flood, -REMEMBERED) >= REMEMBERED:
+            _log.warning("%s: a part of it is taken", flood)
+        recent = {each: at for each, at in self._last.items() if now - at < REMEMBERED}
+        self._last = {**recent, flood: now}

@@ -24,6 +24,7 @@ _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 
 ClockMode = Literal["lockstep", "realtime"]
 Variant = Literal["simulation", "hardware"]
+RosCommands = Literal["all", "none"]
 
 
 class Recording(Table):
@@ -53,6 +54,7 @@ class Settings(Table, kw_only=True):
     world: str = "flat"
     real_time_factor: float = 1.0  # lockstep is paced to this; 0: as fast as it goes
     ros_domain_id: int
+    ros_commands: RosCommands = "all"  # whose commands on ROS 2 are obeyed: there nobody proves who they are
     epoch: int = 0  # when robot time is 0 on hardware, monotonic [ns]
     bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
     recording: Recording = Recording()
@@ -61,6 +63,11 @@ class Settings(Table, kw_only=True):
     def paced(self) -> bool:
         """Whether robot time is kept to the wall's, in some proportion, and not simulated as fast as it goes."""
         return self.variant == "hardware" or self.clock == "realtime" or self.real_time_factor > 0.0
+
+    @property
+    def ros_refusal(self) -> str:
+        """Why nobody who commands on ROS 2 is obeyed; empty: everybody is."""
+        return "commands on ROS 2 are not obeyed: up with --ros-commands none" if self.ros_commands == "none" else ""
 
     def json(self) -> str:
         """As ``instance.json`` holds them."""

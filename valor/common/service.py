@@ -22,7 +22,7 @@ from typing import Protocol, Self
 import bifrost
 from valor.common import membership
 from valor.common.errors import ConfigurationError
-from valor.common.floods import Floods, Input
+from valor.common.floods import Floods, Input, TopicFloods
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
 from valor.common.priority import take_cores, take_priority, take_turns
@@ -101,7 +101,7 @@ class StatisticsPublisher:
         self._cycles = self._overruns = 0
         self.drops = self.rejected = 0
         self._count: Callable[[], tuple[int, int]] | None = None
-        self._floods = Floods(())
+        self._floods: tuple[Floods | TopicFloods, ...] = ()
         self._last_cycle = 0.0
         self._reset(time.perf_counter())
 
@@ -128,9 +128,9 @@ class StatisticsPublisher:
         """Ask for ``rejected`` and ``drops`` when they are told, so that a loop need not sum them up every cycle."""
         self._count = counts
 
-    def watch(self, inputs: Iterable[Input]) -> None:
+    def watch(self, inputs: Iterable[Input], ros: TopicFloods | None = None) -> None:
         """Be ``degraded`` in place of ``ready`` while a sender floods one of these, and name it."""
-        self._floods = Floods(inputs)
+        self._floods = (Floods(inputs), *((ros,) if ros else ()))
 
     def cycle(self, began: float, waited: float = 0.0) -> None:
         """Count a cycle that began at ``began`` [``time.perf_counter()``, s; Linux: the monotonic clock] and ends now.
@@ -162,7 +162,7 @@ class StatisticsPublisher:
         if self._count is not None:
             self.rejected, self.drops = self._count()
         state, detail = self._state, self._detail
-        if state == "ready" and (flood := self._floods.told()):
+        if state == "ready" and (flood := "; ".join(filter(None, (each.told() for each in self._floods)))):
             state, detail = "degraded", flood
         cycles = max(1, self._window_cycles)
         cpu_time = time.process_time()

@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import ControlModeReport, ModeStatus
-from valor.common.topics import CONTROL_MODE
+from valor.common.messages import BehaviorReply, BehaviorRequest, ControlModeReport, ModeStatus
+from valor.common.topics import BEHAVIOR, CONTROL_MODE
+from valor.valorctl import mode_names
 
 ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
 CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
 _REPORT_TIMEOUT = 2.0  # reports come ten times a second [s]
+_LOOK = 0.05  # [s]
 
 
 def flag_names(status: int) -> list[str]:
@@ -68,7 +70,7 @@ def report(instance: Instance) -> ControlModeReport:
 
 
 def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> ModeChange:
-    """Ask the VRC for a control mode, as any ROS client would.
+    """Ask the VRC for a control mode, as any ROS client would; where it obeys none, the Motion Manager.
 
     Args:
         instance: must be up.
@@ -78,6 +80,8 @@ def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: No
     Raises:
         ValorError: no answer, or no result in time.
     """
+    if instance.settings().ros_refusal:
+        return _lead(instance, mode, check)
     from vigir_humanoid_control_msgs.action import ChangeControlMode
 
     from valor.valorctl.ros_client import RosClient
@@ -92,3 +96,40 @@ def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: No
             return made
         refused, _, reason = ros.diagnosis("last control mode refused").partition(": ")
     return replace(made, reason=reason if refused == mode else "")
+
+
+def _lead(instance: Instance, mode: str, check: Callable[[], None]) -> ModeChange:
+    """Ask the Motion Manager for what a mode means; the VRC follows it there."""
+    behaviors = mode_names.behaviors(mode)
+    began = time.monotonic()
+    network = bifrost.Network.load(instance.network_file, instance.keys)
+    with bifrost.Node("valorctl", network=network) as node:
+        client = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        reports = node.subscriber(CONTROL_MODE.name, ControlModeReport)
+        report = None
+        reason = next((why for each in behaviors if (why := _reach(client, each, began, check))), "")
+        while report is None or (not reason and report.current_control_mode != mode):
+            check()
+            if received := reports.receive(timeout=_REPORT_TIMEOUT):
+                report = received.message
+            if report is None or received is None:
+                raise ValorError(f"valor_ros_controller is silent: no {CONTROL_MODE.name} within {_REPORT_TIMEOUT:g} s")
+            if time.monotonic() - began > CHANGE_TIMEOUT:
+                reason = reason or f"valor_ros_controller has not followed within {CHANGE_TIMEOUT:g} s"
+    status = ModeStatus.MODE_REJECTED | ModeStatus.ERR_INVALID_TRANSITION if reason else ModeStatus.MODE_ACCEPTED
+    return ModeChange(mode, report.current_control_mode, status, time.monotonic() - began, reason)
+
+
+def _reach(
+    client: bifrost.Client[BehaviorRequest, BehaviorReply], behavior: str, began: float, check: Callable[[], None]
+) -> str:
+    """Ask until a behavior is reached; why it is not, or nothing."""
+    while time.monotonic() - began <= CHANGE_TIMEOUT:
+        check()
+        reply = client.call(BehaviorRequest(behavior), timeout=CHANGE_TIMEOUT)
+        if not reply.accepted:
+            return reply.reason
+        if reply.behavior == behavior:
+            return ""
+        time.sleep(_LOOK)
+    return f"{behavior} not reached within {CHANGE_TIMEOUT:g} s"

@@ -17,7 +17,7 @@ import bifrost
 from valor.common import membership, recordings, whole_file
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
-from valor.common.instance import ClockMode, Instance, Recording, Settings
+from valor.common.instance import ClockMode, Instance, Recording, RosCommands, Settings
 from valor.common.processes import RECORDER
 from valor.common.resources import profile_file, robot_folder
 from valor.common.retention import Bounds
@@ -46,6 +46,7 @@ class Request:
     no_bag: bool = False
     recording: Recording = field(default_factory=Recording)
     initial_mode: str | None = None  # empty: leave the robot as it starts
+    ros_commands: RosCommands = "all"
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ def plan(request: Request) -> Plan:
         world=request.world or defaults.world,
         real_time_factor=(defaults.real_time_factor if request.real_time_factor is None else request.real_time_factor),
         ros_domain_id=0,
+        ros_commands=request.ros_commands,
         bag=_bag(request.bag),
         recording=msgspec.structs.replace(request.recording, bounds=_bounds(request, profile)),
     )

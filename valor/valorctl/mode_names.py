@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import valor
+from valor.common.errors import ConfigurationError, expected
 
 FILE = Path(valor.__file__).parent / "valor_ros_controller" / "control_modes.yaml"
 PREPARING = "stand_prep"  # the mode that the robot comes up in, until it is in its posture
@@ -29,12 +30,30 @@ def initial() -> list[str]:
     return [name for name in _modes() if name == PREPARING or name in _modes()[PREPARING]["to"]]
 
 
+def behaviors(mode: str) -> list[str]:
+    """What to ask the Motion Manager for, one after the other, for the VRC to follow into a mode.
+
+    Raises:
+        ConfigurationError: the table cannot be read, or nothing that the Motion Manager does leads to the mode.
+    """
+    led = {behavior for behavior, followed in _table("behaviors").items() if followed == mode}
+    motion: list[str] = _modes().get(mode, {}).get("motion") or []
+    if not led.intersection(motion[-1:]):
+        followed = [each for each in names() if each in _table("behaviors").values()]
+        raise ConfigurationError(f"control mode {expected(mode, followed)}")
+    return list(dict.fromkeys(motion))
+
+
 def _modes() -> dict[str, dict[str, Any]]:
+    return _table("modes")
+
+
+def _table(key: str) -> dict[str, Any]:
     from valor.common.document import Document
 
     document = Document.load(FILE)
     try:
-        modes: dict[str, dict[str, Any]] = document.content["modes"]  # type: ignore[index]
+        table: dict[str, Any] = document.content[key]  # type: ignore[index]
     except (KeyError, TypeError):
-        raise document.error(["modes"], "expected, but missing") from None
-    return modes
+        raise document.error([key], "expected, but missing") from None
+    return table

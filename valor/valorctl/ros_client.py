@@ -40,7 +40,12 @@ class RosClient:
         Args:
             instance: must be up.
             check: called while waiting; may raise to give up.
+
+        Raises:
+            ValorError: the instance obeys nobody on ROS 2.
         """
+        if refusal := instance.settings().ros_refusal:
+            raise ValorError(refusal)
         os.environ.update(instance.environment())  # read by the middleware's C++ when it starts
         self._check = check
         self._context = rclpy.Context()

@@ -23,6 +23,8 @@ _TIMEOUT = 10.0  # for the result [s]
 
 def ask(instance: Instance, modes: list[str]) -> str:
     """What the VRC answered last."""
+    if refusal := instance.settings().ros_refusal:
+        return refusal
     answer = ""
     with RosClient(instance) as ros:
         for mode in modes:

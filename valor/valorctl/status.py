@@ -85,6 +85,7 @@ class Status:
             "instance": self.instance,
             "profile": self.settings.profile,
             "robot": self.settings.robot.name,
+            "ros_commands": self.settings.ros_commands,
             "ready": self.ready,
             "supervised": self.supervised,
             "behavior": self.behavior,

@@ -22,7 +22,8 @@ _STATES = {"ready": GOOD, "starting": WAITING, "degraded": WAITING, "stopped": D
 def view(status: Status) -> Group:
     """One look at an instance."""
     recording = [Text(status.recording.line())] if status.recording else []
-    return Group(*_heading(status), *_robot(status), _services(status), *recording)
+    commands = [Text(refusal, WAITING)] if (refusal := status.settings.ros_refusal) else []
+    return Group(*_heading(status), *commands, *_robot(status), _services(status), *recording)
 
 
 def show(look: Callable[[], Status], period: float) -> NoReturn:

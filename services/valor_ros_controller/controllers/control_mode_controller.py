@@ -85,6 +85,7 @@ class ControlModeController:
         hard_resets: how often all controllers had to start anew.
         last_refusal: of a request, with its reason; for people.
         rejected: how many requests were refused.
+        refusal: why every request is refused; empty: it is not.
     """
 
     name = "control_mode_controller"
@@ -103,6 +104,7 @@ class ControlModeController:
         self.hard_resets = 0
         self.last_refusal = ""
         self.rejected = 0
+        self.refusal = ""
 
     @property
     def current(self) -> str:
@@ -216,6 +218,9 @@ class ControlModeController:
 
     def _consider(self, requested: str, client: ModeClient | None) -> None:
         """Begin what is asked for, or refuse it."""
+        if self.refusal:
+            self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, self.refusal)
+            return
         target = requested.strip().lower()
         modes = self._table.modes
         current = self.current

@@ -88,7 +88,9 @@ class ControllerBypass:
         node: bifrost.Node,
         interface: ValorEscherInterface,
         base_frames: tuple[str, ...],
+        *,
         soft_stop: Callable[[], None],
+        refusal: str = "",
     ) -> None:
         """Open the interfaces.
 
@@ -98,6 +100,7 @@ class ControllerBypass:
             interface: the one that tells the Motion System where the pelvis shall be.
             base_frames: names of the pelvis' frame.
             soft_stop: asks for control mode soft_stop, from any thread.
+            refusal: why no command is handed over; empty: they are.
         """
         self.rejected = 0
         self.refusals = 0
@@ -115,14 +118,18 @@ class ControllerBypass:
         self._statuses = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=5 * QUEUE, limit=COMMANDS)
         self._rejections = node.subscriber(REJECTION.name, Rejection, queue=5 * QUEUE, limit=COMMANDS)
         self.heard = (self._statuses, self._rejections)
-        ros.create_subscription(Twist, CMD_VEL, self._newest.write, 1)
-        ros.create_subscription(PoseStamped, PELVIS_GOAL, self._move_pelvis, 1)
-        ros.create_subscription(Empty, "/flor/controller/soft_stop", lambda _: soft_stop(), 1)
+        commands: list[tuple[type, str, Callable[[Any], None]]] = [
+            (Twist, CMD_VEL, self._newest.write),
+            (PoseStamped, PELVIS_GOAL, self._move_pelvis),
+            (Empty, "/flor/controller/soft_stop", lambda _: soft_stop()),
+            (RosJointGains, "/flor/controller/joint_gains", self._tune_gains),
+            (RosBalanceWeights, "/flor/controller/balance_weights", self._tune_weights),
+        ]
         for hand, name in enumerate(HANDS):
-            ros.create_subscription(PoseStamped, f"/flor/{name}/goal_pose", partial(self._lead, hand), 1)
-            ros.create_subscription(Empty, f"/flor/{name}/goal_cancel", partial(self._release, hand), 1)
-        ros.create_subscription(RosJointGains, "/flor/controller/joint_gains", self._tune_gains, 1)
-        ros.create_subscription(RosBalanceWeights, "/flor/controller/balance_weights", self._tune_weights, 1)
+            commands.append((PoseStamped, f"/flor/{name}/goal_pose", partial(self._lead, hand)))
+            commands.append((Empty, f"/flor/{name}/goal_cancel", partial(self._release, hand)))
+        for kind, topic, obey in commands:
+            ros.create_subscription(kind, topic, self._refusing(topic, refusal) if refusal else obey, 1)
         self._hand_status = [
             TwinPublisher(ros, RosHandGoalStatus, f"/flor/{name}/goal_status", _LATCHED) for name in HANDS
         ]
@@ -145,6 +152,10 @@ class ControllerBypass:
         self._velocity.publish(
             VelocityCommand(time=hw.time, linear_x=twist.linear.x, linear_y=twist.linear.y, angular_z=twist.angular.z)
         )
+
+    def _refusing(self, topic: str, reason: str) -> Callable[[Any], None]:
+        """What refuses whatever comes."""
+        return lambda _: self._waiting.append(lambda _: self._refuse(topic, reason))
 
     def _refuse(self, topic: str, reason: str) -> None:
         """Count a command that is not handed over, and say so. Update thread."""

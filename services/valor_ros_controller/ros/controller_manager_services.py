@@ -63,6 +63,7 @@ class ControllerManagerServices:
         rate: float,
         stamp: Time,
         silent: Callable[[], str],
+        refusal: str = "",
     ) -> None:
         """Offer the services.
 
@@ -73,7 +74,9 @@ class ControllerManagerServices:
             rate: of the update loop [Hz].
             stamp: robot time, kept up to date by its owner.
             silent: name of the process that the robot waits for; empty: none.
+            refusal: why no controllers are switched; empty: they are.
         """
+        self._refusal = refusal
         self._controller = controller
         self._managers = (controller.modes, controller.joints, controller.robots)
         self._hw = hw
@@ -192,9 +195,12 @@ class ControllerManagerServices:
     def _switch(self, request: Any, response: Any) -> Any:
         activate, deactivate = list(request.activate_controllers), list(request.deactivate_controllers)
         try:
-            answer = self._controller.queue.call(
-                lambda: self._controller.switch.switch(activate, deactivate, request.strictness)
-            )
+            if self._refusal:
+                answer = SwitchAnswer(False, self._refusal)
+            else:
+                answer = self._controller.queue.call(
+                    lambda: self._controller.switch.switch(activate, deactivate, request.strictness)
+                )
         except TimeoutError as error:
             answer = SwitchAnswer(False, str(error))
         if answer.message:

@@ -77,7 +77,14 @@ class JointTrajectoryAction:
     """
 
     def __init__(
-        self, node: Node, base: str, controller: JointTrajectoryController, stamp: Time, queue: UpdateQueue
+        self,
+        node: Node,
+        base: str,
+        controller: JointTrajectoryController,
+        stamp: Time,
+        queue: UpdateQueue,
+        *,
+        refusal: str = "",
     ) -> None:
         """Open the interfaces.
 
@@ -87,7 +94,9 @@ class JointTrajectoryAction:
             controller: runs the trajectories.
             stamp: robot time, kept up to date by its owner.
             queue: into the update thread.
+            refusal: why no trajectory is run; empty: they are.
         """
+        self._refusal = refusal
         self._controller = controller
         self._stamp = stamp
         self._queue = queue
@@ -173,6 +182,8 @@ class JointTrajectoryAction:
         Raises:
             InvalidTrajectoryError: it is not to be run.
         """
+        if self._refusal:
+            raise InvalidTrajectoryError(ErrorCode.INVALID_GOAL, self._refusal)
         controller, settings = self._controller, self._controller.settings
         points = [
             Point(p.positions, p.velocities, p.accelerations, p.effort, _nanoseconds(p.time_from_start) * 1e-9)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
@@ -12,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from valor.common.errors import ConfigurationError
+from valor.common.floods import TopicFloods
 
 PERIOD = 4e-3  # that of the update loop [s]
 CALLBACKS = 10  # in one
@@ -19,11 +22,29 @@ CALLBACKS = 10  # in one
 _log = logging.getLogger("ros")
 
 
+class _CommandNode(Node):  # type: ignore[misc]  # rclpy is untyped
+    """A node whose subscriptions are commands, and counted."""
+
+    def __init__(self, name: str) -> None:
+        self.floods = TopicFloods(
+            lambda topic: (publisher.node_name for publisher in self.get_publishers_info_by_topic(topic))
+        )
+        super().__init__(name, enable_rosout=False)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **options: Any
+    ) -> Any:
+        return super().create_subscription(
+            msg_type, topic, self.floods.counted(topic, callback), qos_profile, **options
+        )
+
+
 class RosThread(threading.Thread):
     """Owns the node; its callbacks (goals, cancellations, commands, timers) run here and nowhere else.
 
     Attributes:
         node: the ROS node.
+        floods: of the topics that it subscribes to.
         failures: callbacks that raised: logged, counted, and the thread goes on.
     """
 
@@ -43,7 +64,8 @@ class RosThread(threading.Thread):
             rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:
             raise ConfigurationError(f"ROS arguments {arguments}: {' '.join(str(error).split())}") from None
-        self.node = Node(name, enable_rosout=False)
+        self.node = _CommandNode(name)
+        self.floods = self.node.floods
         self.failures = 0
         self._closing = False
         self._executor = SingleThreadedExecutor()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -94,6 +94,11 @@ class Parameters:
             self._changes[name] = on_change
         value: T = parameter.value
         return value
+
+    def refuse_changes(self, reason: str) -> None:
+        """From now on refuse every change, and say why."""
+        refused = SetParametersResult(successful=False, reason=reason)
+        self._node.add_on_set_parameters_callback(lambda _: refused)
 
     def _changed(self, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import ROBOTS, wait_until
-from tests.integration.vrc.vrc_system import PATIENCE, Topic, go
+from tests.conftest import ROBOTS, RunningInstance, wait_until
+from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, go
 from tests.system import RosClient
-from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection
+from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection, Statistics
 from valor.common.robot import RobotDescription
-from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION
+from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION, VALOR_ROS_CONTROLLER_STATISTICS
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]
@@ -281,3 +281,23 @@ def test_points_and_contacts_are_there_for_plots_and_for_late_joiners(ros: RosCl
     assert not any(topic.messages[-1].data for topic in hands)
     for topic in (*points.values(), *feet, *hands):
         topic.close()
+
+
+def test_who_floods_a_topic_is_named(system: RunningInstance, ros: RosClient, node: bifrost.Node) -> None:
+    from geometry_msgs.msg import Twist
+
+    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics)
+    publisher = ros.node.create_publisher(Twist, "/cmd_vel", 1)
+    wait_until(publisher.get_subscription_count, PATIENCE, "the VRC to listen")
+
+    def told() -> tuple[str, str] | None:
+        for _ in range(200):
+            publisher.publish(Twist())
+        received = statistics.latest()
+        return (received.message.state, received.message.detail) if received and received.message.detail else None
+
+    assert wait_until(told, PATIENCE, "the flood to be told") == ("degraded", f"{ros.node.get_name()} floods /cmd_vel")
+    ros.destroy(ros.node.destroy_publisher, publisher)
+    system.wait_ready(VRC, PATIENCE)
+    assert f"{ros.node.get_name()} floods /cmd_vel: a part of it is taken" in system.log(VRC)
+    statistics.close()

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from valor.common.instance import ClockMode, Instance
+from valor.common.instance import ClockMode, Instance, RosCommands
 from valor.common.resources import profiles, robots
 from valor.common.world_names import WORLD_NAMES
 from valor.valorctl import completion
@@ -74,6 +74,10 @@ def up(
             autocompletion=completion.initial_modes,
         ),
     ] = None,
+    ros_commands: Annotated[
+        RosCommands,
+        typer.Option(help="Whose commands on ROS 2 are obeyed; none: valorctl commands, and ROS 2 looks on."),
+    ] = "all",
 ) -> None:
     """Start a system; returns when every process is ready and the robot is in its initial mode."""
     from valor.valorctl import instance_setup, recording_options, recording_report, startup
@@ -95,6 +99,7 @@ def up(
             no_bag,
             recording,
             initial_mode,
+            ros_commands,
         )
     )
     with progress() as shown, Interruption() as interruption:
