@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol, TypeVar
 
 from bifrost import Limit
@@ -18,7 +18,7 @@ REQUESTS = Limit(rate=100.0, burst=100)
 """Of requests: persons and plans ask a few times a second."""
 
 ROS_TOPIC = Limit(rate=500.0, burst=250)
-"""Of what is taken from one ROS topic with commands: persons and planners send less, and controllers half of it."""
+"""Of what comes on one ROS topic with commands: persons and planners send less, and controllers half of it."""
 
 REMEMBERED = 3.0  # a sender is told for so long after it was muted last: longer than until it is muted again [s]
 
@@ -58,7 +58,8 @@ class Floods:
 class TopicFloods:
     """Who floods a ROS topic. What is taken of it is bounded elsewhere; here it is counted, and who sends it named.
 
-    ROS does not say whom a message is from: named are all who publish on the topic.
+    ROS does not say whom a message is from: named are all who publish on the topic. Of one publisher all messages
+    count, those lost on their way to the callback, too; of several, whose numbers tell nothing, those that are taken.
     """
 
     def __init__(self, publishers: Callable[[str], Iterable[str]], clock: Callable[[], float] = time.monotonic) -> None:
@@ -72,13 +73,23 @@ class TopicFloods:
         self._clock = clock
         self._last: dict[str, float] = {}  # replaced as a whole: told from another thread
 
-    def counted(self, topic: str, callback: Callable[[M], object]) -> Callable[[M], None]:
-        """A callback that counts what it is called with, and then calls the one that is given."""
-        meter = Meter(ROS_TOPIC)
+    def counted(self, topic: str, callback: Callable[[M], object]) -> Callable[[M, Mapping[str, int | None]], None]:
+        """A callback that counts what it is called with, and then calls the one that is given.
 
-        def count(message: M) -> None:
-            if meter.exceeds(1, int(self._clock() * 1e9)):
-                self._note(topic)
+        It takes a message, and what rclpy tells of it.
+        """
+        taken, sent = Meter(ROS_TOPIC), Meter(ROS_TOPIC)
+        newest = 0
+
+        def count(message: M, info: Mapping[str, int | None]) -> None:
+            nonlocal newest
+            now, before = int(self._clock() * 1e9), newest
+            newest = info.get("publication_sequence_number") or 0
+            too_much = taken.exceeds(1, now)
+            if sent.exceeds(max(1, newest - before) if before else 1, now) or too_much:
+                names = sorted(set(self._publishers(topic)))
+                if too_much or len(names) == 1:
+                    self._note(f"{' or '.join(names) or 'somebody'} floods {topic}")
             callback(message)
 
         return count
@@ -88,9 +99,8 @@ class TopicFloods:
         now = self._clock()
         return ", ".join(sorted(flood for flood, at in self._last.items() if now - at < REMEMBERED))
 
-    def _note(self, topic: str) -> None:
+    def _note(self, flood: str) -> None:
         now = self._clock()
-        flood = f"{' or '.join(sorted(set(self._publishers(topic)))) or 'somebody'} floods {topic}"
         if now - self._last.get(flood, -REMEMBERED) >= REMEMBERED:
             _log.warning("%s: a part of it is taken", flood)
         recent = {each: at for each, at in self._last.items() if now - at < REMEMBERED}

@@ -267,6 +267,7 @@ class Watch:
         except SupervisorError:
             found = _found(self._instance)
             if not found:
+                self._instance.settings()  # gone where it was taken down meanwhile, and told so
                 raise ValorError(unsupervised(self._instance, 0)) from None
             return found, False
 
