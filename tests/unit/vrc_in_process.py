@@ -172,7 +172,7 @@ class MotionSystem:
         self._pelvis.reset(np.ones(6, dtype=bool), self._pelvis_target)
         self.rejections = Rejections()
         self._upper_body = UpperBody(ROBOT, self.reference)
-        self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda: "")
+        self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda _: "")
         hands = HandGoals(MODEL, self.reference, ROBOT.nominal_posture)
         self._setpoints = JointSetpointsHandler(ROBOT, self.fsm, self._upper_body, hands, self.rejections)
         self._taken_over = time
