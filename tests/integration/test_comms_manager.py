@@ -242,10 +242,9 @@ def test_unsound_motors_are_refused_whole_and_move_nothing(instance: RunningInst
     start(instance, actuators="ideal")
     node = instance.node()
     watch, client = Watch(node), ServoClient(node, ROBOT)
-    client.run_to(0.5)
+    state = client.run_to(0.5)
     before = watch.statistics().rejected
     for kind, change in UNSOUND.items():
-        state = client.hear()
         bad = client.command(state)
         bad.mode = np.full(38, JointMode.FORCE, dtype=np.uint8)
         bad.effort = np.full(38, 100.0)  # were it obeyed, the robot would be thrown over
@@ -257,7 +256,9 @@ def test_unsound_motors_are_refused_whole_and_move_nothing(instance: RunningInst
         after = client.answer_until(lambda s, sent=good.sequence: s.motor_sequence >= sent)
         assert after.motor_sequence >= good.sequence, kind
         assert np.abs(after.joint_effort).max() < 150, kind
-        client.run_to(after.time * 1e-9 + 0.05)
+        client.publish(client.command(after))  # the world waits for an answer to each of its states
+        state = client.run_to(after.time * 1e-9 + 0.05)
+    client.publish(client.command(state))
     client.answer_until(lambda _: watch.statistics().rejected - before == len(UNSOUND))
     assert upright(watch.truth())
     log = instance.log("comms_manager")
