@@ -165,6 +165,7 @@ class Soak:
         rig = self._rig
         found = rig.down() + [each for each in in_logs(rig.instance.logs) if each.partition(".")[0] not in rig.excused]
         rig.excused.clear()
+        rig.instance.logs.rename(rig.instance.logs.with_name(f"logs-{rig.ups}"))  # each life's words by themselves
         found += unreadable(rig.instance.bags)
         for (name, pid), samples in rig.memory.items():
             if (grown := growth(samples)) > GROWTH:
