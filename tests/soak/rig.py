@@ -95,9 +95,11 @@ class Rig:
         said, _ = up.communicate(timeout=UP)
         found = []
         if up.returncode:
-            last = said.strip().rpartition("\n")[2]
-            if f"{killed} did not start: ended, terminated by SIGKILL" not in last:
-                found.append(f"up ended with {up.returncode}: {last}")
+            why = [line for line in said.splitlines() if line.startswith("valorctl: ")]
+            if len(why) != 1:
+                found.append(f"up ended with {up.returncode}, and does not say why in one line: {said[-300:]}")
+            elif "did not start" in why[0] and f"{killed} did not start: ended, terminated by SIGKILL" not in why[0]:
+                found.append(f"up ended with {up.returncode}: {why[0]}")
             found += [f"left after up gave up: {each}" for each in leftovers(self.home, NAME, self._shared)]
             self.system.valorctl(*self._up, timeout=UP)
             self.killed.clear()
