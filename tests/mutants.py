@@ -349,7 +349,7 @@ def main() -> None:
     runner = Runner(sample, Map(name), log := OUT / f"{name}.txt")
     pytest.main([*ARGUMENTS, *tests], [runner])
     counts = runner.verdicts
-    tried = len(sample) - counts["equivalent"]
+    tried = counts.total() - counts["equivalent"]  # fewer than the sample after Ctrl-C
     print(f"{name}: {counts['killed']} of {tried} noticed, seed {options.seed}, of {len(mutants)}; the others: {log}")
 
 

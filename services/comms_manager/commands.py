@@ -149,6 +149,8 @@ class Commands:
     def _fault(self, motor: Motor) -> str:
         """Why a Motor is not obeyed; empty if it is."""
         answers = motor.proprioceptor_sequence
+        if not self._first:
+            return "answers no state: none has been measured yet"
         if not self._first <= answers <= self._current:
             return f"answers no state of this world: {answers}, expected {self._first} to {self._current}"
         if motor.writer < self._writer:

@@ -169,6 +169,13 @@ def test_an_answer_may_be_so_old_and_never_older_than_the_one_before(devices: De
     assert commands.answered
 
 
+def test_before_the_first_state_nothing_is_obeyed(net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path) -> None:
+    devices = Devices(net, reflex, tmp_path / "behavior.json")
+    assert not devices.hear(answers=0)
+    assert devices.commands.leader.motor is None
+    devices.close()
+
+
 def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
     commands = devices.commands
     devices.measure(2 * OLDEST)
