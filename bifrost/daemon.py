@@ -24,6 +24,7 @@ from zmq.utils.monitor import recv_monitor_message
 from bifrost import directory as d
 from bifrost.errors import ConfigurationError
 from bifrost.grants import DAEMON
+from bifrost.keepsake import Keepsake
 from bifrost.link import Link
 from bifrost.network import Network
 from bifrost.security import Gate, listening_socket, new_context
@@ -75,6 +76,7 @@ class Daemon:
         if network.owner != self._grants.daemon:
             raise ConfigurationError(f"the key of {DAEMON} is not given: expected BIFROST_OWNERS, the folder it is in")
         self._links: list[Link] = []
+        self._keepsake = Keepsake(network.keepsake)
         self._gate = Gate(self._context, network)
         self._socket = listening_socket(self._context, zmq.ROUTER, network)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
@@ -119,6 +121,7 @@ class Daemon:
                 self._pass_on(link.receive())
             self._pass_on(link.check())
         self._drop_silent()
+        self._keepsake.update(self._version, self._table)
 
     def _disconnected(self) -> list[int]:
         """The nodes whose connection has ended. One that lives registers again on its next heartbeat."""
@@ -295,6 +298,7 @@ class Daemon:
 
     def close(self) -> None:
         """Give back the port."""
+        self._keepsake.close()
         for link in self._links:
             link.socket.close()
         self._gate.close()

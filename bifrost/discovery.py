@@ -18,6 +18,7 @@ import msgspec
 import zmq
 
 from bifrost import directory as d
+from bifrost.keepsake import recall
 from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
 from bifrost.schema import Schema
@@ -25,6 +26,7 @@ from bifrost.security import Gate, connect, connecting_socket
 
 # Between two registrations, each of which tells all nodes of everything that this one has; for each of its entries [s].
 _REST = 1e-4
+_PATIENCE = 0.3  # with a daemon, until those that the last one knew are looked up on disk [s]
 _WARNINGS = 20  # of what others may not have, at most
 _log = logging.getLogger("bifrost")
 WAKE_ENDPOINT = "inproc://bifrost.wake"
@@ -34,7 +36,7 @@ Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
 class Discovery:
     """See the module. All public methods may be called from any thread."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str, recall: bool) -> None:
         self.incarnation = secrets.randbits(63)
         here = network.computer.name
         self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), here, time.monotonic_ns())
@@ -57,6 +59,8 @@ class Discovery:
         self._grants = network.grants
         self._refused: set[str] = set()  # that the log has told of
         self._heard = 0.0  # when the daemon last said anything
+        self._network = network
+        self._recall_at = time.monotonic() + _PATIENCE if recall else float("inf")
         self._context = context
         self._gate = Gate(context, network)
         self._wake = context.socket(zmq.XPUB)
@@ -200,7 +204,11 @@ class Discovery:
                 if now >= next_heartbeat:
                     self._heartbeat()
                     next_heartbeat = now + d.HEARTBEAT_PERIOD
-                until = min(next_heartbeat, self._next_registration) if self._dirty else next_heartbeat
+                if now >= self._recall_at:
+                    self._recall()
+                until = min(next_heartbeat, self._recall_at)
+                if self._dirty:
+                    until = min(until, self._next_registration)
                 ready = dict(self._poller.poll(max(0, int((until - now) * 1000)) + 1))
                 if self._gate.socket in ready:
                     self._gate.answer()
@@ -314,6 +322,15 @@ class Discovery:
             elif message.node.incarnation != self.incarnation:
                 neighbors.put(self._sifted(message.node))
         self._refresh()
+
+    def _recall(self) -> None:
+        """The daemon has not answered: those that the last one knew are as good as known."""
+        self._recall_at = float("inf")
+        if not self._heard:
+            with self._lock:
+                for record in recall(self._network):
+                    self._neighbors.put(self._sifted(record))
+                self._refresh()
 
     def _sifted(self, record: d.NodeRecord) -> d.NodeRecord:
         """A record without what is not its node's. The daemon has seen to it, but is not what is trusted."""

@@ -66,6 +66,7 @@ class Network:
         client: the keys of whatever connects, owners excepted.
         grants: what is whose alone.
         own: the keys of this process, if it is an owner.
+        keepsake: the file in which this computer's daemon leaves its table; None: it leaves none.
     """
 
     computers: tuple[Computer, ...]
@@ -74,6 +75,7 @@ class Network:
     client: KeyPair
     grants: Grants = NONE
     own: KeyPair | None = None
+    keepsake: Path | None = None
 
     @property
     def listening(self) -> KeyPair:
@@ -142,7 +144,8 @@ class Network:
         own = _read_keys(Path(own_key)) if own_key is not None and grants.owners else None
         if own is not None and own.public.decode() not in grants.owners.values():
             raise ConfigurationError(f"{own_key}: no key of an owner that {network_file} names")
-        return cls(computers, ours, _read_keys(keys / "server.key"), _read_keys(keys / "client.key"), grants, own)
+        server, client = _read_keys(keys / "server.key"), _read_keys(keys / "client.key")
+        return cls(computers, ours, server, client, grants, own, _keepsake(Path(network_file), ours))
 
     @classmethod
     def create(
@@ -195,10 +198,12 @@ class Network:
             _write_keys(keys_folder / "client.key", client)
             grants = _issue(charter) if charter else NONE
             content = {"version": _VERSION, "computers": [asdict(computer) for computer in computers]} | grants.plain()
-            _write_private(network_file, json.dumps(content, indent=2).encode() + b"\n")
+            write_private(network_file, json.dumps(content, indent=2).encode() + b"\n")
         except OSError as error:
             raise ConfigurationError(f"{error.filename or keys_folder}: {error.strerror}") from None
-        return cls(tuple(computers), computers[0], server, client, grants)
+        return cls(
+            tuple(computers), computers[0], server, client, grants, keepsake=_keepsake(network_file, computers[0])
+        )
 
     @classmethod
     def from_environment(cls, owner: str = "") -> Network:
@@ -228,6 +233,10 @@ def own_key_file(folder: Path, owner: str) -> Path:
     return folder / owner / "own.key"
 
 
+def _keepsake(network_file: Path, computer: Computer) -> Path:
+    return network_file.with_name(f"{network_file.stem}.{computer.name}.nodes")
+
+
 def _issue(charter: Charter) -> Grants:
     """Make a key pair for every owner."""
     public = {}
@@ -243,7 +252,7 @@ def _write_keys(file: Path, pair: KeyPair) -> None:
     """Write a key pair, mode 0600, into a folder of mode 0700."""
     file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     file.parent.chmod(0o700)
-    _write_private(file, pair.public + b"\n" + pair.secret + b"\n")
+    write_private(file, pair.public + b"\n" + pair.secret + b"\n")
 
 
 def _free_port(host: str, ports: Sequence[int]) -> int:
@@ -259,8 +268,12 @@ def _free_port(host: str, ports: Sequence[int]) -> int:
     raise ConfigurationError(f"no free port for the daemon on {host}: {last.strerror}")
 
 
-def _write_private(path: Path, content: bytes) -> None:
-    """Write through a new file of mode 0600, so that no reader ever sees half of it or a looser mode."""
+def write_private(path: Path, content: bytes) -> None:
+    """Write through a new file of mode 0600, so that no reader ever sees half of it or a looser mode.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     with os.fdopen(descriptor, "wb") as file:

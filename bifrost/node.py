@@ -40,12 +40,14 @@ class Node:
     It needs no daemon to start: it is found, and finds others, as soon as one runs.
     """
 
-    def __init__(self, name: str, network: Network | None = None) -> None:
+    def __init__(self, name: str, network: Network | None = None, *, recall: bool = False) -> None:
         """Join a network.
 
         Args:
             name: what others see as origin. Two nodes may share one.
             network: else ``Network.from_environment()``.
+            recall: while no daemon has answered yet, find those that the last one has left on disk. They do not find
+                this node: it may subscribe and call.
 
         Raises:
             ConfigurationError: the network file or the keys are missing or wrong.
@@ -59,7 +61,7 @@ class Node:
         self._children: list[_Closable] = []
         self._outlet: Outlet | None = None
         self._closed = False
-        self.discovery = Discovery(self._context, self.network, name)
+        self.discovery = Discovery(self._context, self.network, name, recall)
 
     def __enter__(self) -> Self:
         return self

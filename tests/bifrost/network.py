@@ -218,9 +218,9 @@ class BifrostNetwork:
         """A node in this process, closed with the network."""
         return self.node_in(self.on(computer, owner), name)
 
-    def node_in(self, network: bifrost.Network, name: str) -> bifrost.Node:
+    def node_in(self, network: bifrost.Network, name: str, recall: bool = False) -> bifrost.Node:
         """The same, in the network as the node itself sees it."""
-        self._nodes.append(bifrost.Node(name, network=network))
+        self._nodes.append(bifrost.Node(name, network=network, recall=recall))
         return self._nodes[-1]
 
     def peer(self, *arguments: str, computer: str | None = None) -> Peer:

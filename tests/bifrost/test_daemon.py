@@ -12,6 +12,7 @@ import zmq
 
 import bifrost
 from bifrost import directory
+from bifrost.keepsake import recall
 from tests.bifrost.network import (
     Answer,
     BifrostNetwork,
@@ -47,6 +48,48 @@ def test_data_flows_while_the_daemon_is_dead_and_all_register_again(own_net: Bif
         pass
     assert subscriber.receive(timeout=5.0) is not None
     assert subscriber.drops == 0
+
+
+def left_on_disk(net: BifrostNetwork) -> set[str]:
+    return {record.name for record in recall(net.network)}
+
+
+def test_who_must_find_somebody_without_a_daemon_finds_whom_the_last_one_knew(own_net: BifrostNetwork) -> None:
+    own_net.peer("serve", "lab/ask")
+    speaker = own_net.peer("publish", "lab/sample", "100")
+    node = own_net.node("test")
+    until(lambda: left_on_disk(own_net) == {"serve_peer", "publish_peer", "test"}, "all are on disk")
+    assert own_net.network.keepsake is not None
+    assert own_net.network.keepsake.stat().st_mode & 0o777 == 0o600
+    node.close()
+    until(lambda: "test" not in left_on_disk(own_net), "who has left is not")
+    own_net.kill_daemon()
+
+    late = own_net.node_in(own_net.network, "late", recall=True)
+    subscriber = late.subscriber("lab/sample", Sample)
+    assert late.client("lab/ask", Question, Answer).call(Question("open", 0.0), timeout=10.0).handled == 1
+    assert subscriber.receive(timeout=10.0) is not None
+    speaker.kill()
+    subscriber.latest()  # its last
+    assert left_on_disk(own_net) == {"serve_peer"}, "a process that has ended is nobody"
+
+    own_net.peer("publish", "lab/sample", "100")
+    own_net.start_daemon()
+    assert late.discovery.wait_change(lambda: late.discovery.registered, 20.0)
+    until(subscriber.latest, "who came meanwhile is found, too")
+    daemon = own_net.daemons.popitem()[1]
+    daemon.terminate()
+    daemon.wait(20.0)
+    assert not own_net.network.keepsake.exists(), "one that ends in order leaves nothing"
+
+
+@pytest.mark.parametrize("content", [b"", b"\xc1", b"\x91" * 100_000, b'{"type": "table"}'], ids=repr)
+def test_a_file_that_says_nothing_is_as_good_as_none(tmp_path: Path, content: bytes) -> None:
+    network = bifrost.Network.create(tmp_path / "network.json", tmp_path / "keys")
+    assert recall(network) == []
+    assert network.keepsake is not None
+    network.keepsake.write_bytes(content)
+    assert recall(network) == []
 
 
 def test_a_subscriber_is_not_cut_off_by_a_daemon_that_knows_nobody_yet(own_net: BifrostNetwork) -> None:

@@ -511,14 +511,16 @@ def whoever_dies_a_stop_tells_the_truth(ctl: Cli) -> None:
             assert path in said
         return said.splitlines()[0]
 
-    names = ("motion_manager", "comms_manager", "valor_ros_controller")
-    motion_manager, comms_manager, controller = (ctl.pid(name) for name in names)
+    names = ("bifrostd", "motion_manager", "comms_manager", "valor_ros_controller")
+    bifrostd, motion_manager, comms_manager, controller = (ctl.pid(name) for name in names)
     assert stopped().endswith(": fall")
     os.kill(motion_manager, signal.SIGSTOP)
     assert stopped("--freeze").endswith(": freeze"), "the Comms Manager holds what a silent one has left"
     os.kill(motion_manager, signal.SIGCONT)
     assert stopped("--freeze").endswith(": freeze"), "and it does not undo it"
-    os.kill(controller, signal.SIGKILL)
+    for pid in (bifrostd, controller):
+        os.kill(pid, signal.SIGKILL)
+    assert stopped("--freeze").endswith(": freeze"), "its last table leads there"
     os.kill(motion_manager, signal.SIGKILL)
     assert stopped("--freeze").endswith(": freeze")
     os.kill(comms_manager, signal.SIGKILL)

@@ -240,7 +240,8 @@ class _MotionSystem:
 
     def __init__(self, instance: Instance, goal: Goal, began: float) -> None:
         self._goal = goal
-        self._node = bifrost.Node("valorctl", network=bifrost.Network.load(instance.network_file, instance.keys))
+        network = bifrost.Network.load(instance.network_file, instance.keys)
+        self._node = bifrost.Node("valorctl", network=network, recall=True)
         self._states = self._node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
         self._asked = [
             _Asked(self._node, BEHAVIOR, goal.requests, goal, began),
