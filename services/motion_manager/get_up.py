@@ -3,25 +3,20 @@
 The joints go by their servos from key pose to key pose, minimum jerk. Which attitude the pelvis must have at the end of
 each is part of the table: a robot that is elsewhere has slipped, is held or was not lying as it seemed, and gives up.
 On its soles it balances: the ankles lead the CoM, which goes on as it moves, to the middle of the soles.
-The table is made offline, by optimisation (``valor.planning``).
 """
 
 from __future__ import annotations
 
 from math import asin, atan2, degrees, sqrt
-from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
 
-from valor.common.errors import ConfigurationError
+from valor.common.get_up_table import FILE, Balance, KeyPose, load
 from valor.common.robot import FloatVector, RobotDescription
-from valor.common.table import NonNegative, Positive, Table, read
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.posture_move import PostureMove
 from valor.motion_manager.whole_body import RobotState
 
-FILE = "get_up.yaml"  # in the robot's folder
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
 ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]
 AT_REST = 0.5  # lying still, or having come to rest in a pose: angular velocity of the pelvis below [rad/s]
@@ -29,33 +24,6 @@ COMING_TO_REST = 2.0  # at most so long after a pose's hold [s]
 COM_SPEED_FILTER = 0.03  # time constant [s]
 LOWEST_COM = 0.3  # above the soles, for the DCM [m]
 GRAVITY = 9.81  # [m/s²]
-
-
-class KeyPose(Table, kw_only=True):
-    """Where joints go, how long they take, and how the pelvis is to lie or stand afterwards."""
-
-    name: str
-    duration: Positive  # [s]
-    hold: NonNegative = 0.0  # then [s]
-    pitch: Annotated[list[float], Meta(min_length=2, max_length=2)]  # of the pelvis afterwards, from and to [deg]
-    balanced: bool = False  # on the way there and in the hold, by `balance`
-    joints: dict[str, float]  # [rad]; the others stay where the pose before had them
-
-
-class Balance(Table):
-    """How a robot on both soles keeps its CoM above them: proportional to the DCM ahead of their middle."""
-
-    joints: Annotated[list[str], Meta(min_length=1)]  # the ankles, whose positive angle lowers the toes
-    gain: Positive  # [rad/m]
-    limit: Positive  # of the angle added [rad]
-
-
-class GetUpTable(Table):
-    """``get_up.yaml``: how a robot gets up from where it may lie."""
-
-    roll: Positive  # of the pelvis, at most [deg]
-    balance: Balance
-    face_down: Annotated[list[KeyPose], Meta(min_length=1)]
 
 
 class GetUp:
@@ -72,20 +40,17 @@ class GetUp:
         """Read the robot's table, if it has one.
 
         Raises:
-            ConfigurationError: the table is wrong, or names a joint that the robot does not have.
+            ConfigurationError: the table is wrong.
         """
         self._robot = robot
-        file = robot.folder / FILE
-        self._table = read(GetUpTable, file) if file.is_file() else None
+        self._table = load(robot)
         self.goals: list[FloatVector] = []
         self._poses: list[KeyPose] = self._table.face_down if self._table else []
         posture = robot.nominal_posture
         for pose in self._poses:
-            if unknown := [name for name in pose.joints if name not in robot.index]:
-                raise ConfigurationError(f"{file}: face_down: {pose.name}: unknown joint {unknown[0]!r}")
             posture = posture.copy()
             posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
-            self.goals.append(np.clip(posture, robot.lower, robot.upper))
+            self.goals.append(posture)
         self._balance = SoleBalance(robot, self._table.balance) if self._table else None
         self._velocity = VELOCITY_FACTOR * robot.velocity_limit
         self._acceleration = robot.velocity_limit / ACCELERATION_TIME
@@ -170,13 +135,7 @@ class SoleBalance:
     """
 
     def __init__(self, robot: RobotDescription, table: Balance) -> None:
-        """Take the joints by name.
-
-        Raises:
-            ConfigurationError: one is unknown.
-        """
-        if unknown := [name for name in table.joints if name not in robot.index]:
-            raise ConfigurationError(f"{robot.folder / FILE}: balance: joints: unknown joint {unknown[0]!r}")
+        """Take the joints by name."""
         self._joints = np.array([robot.index[name] for name in table.joints])
         self._lower, self._upper = robot.lower[self._joints], robot.upper[self._joints]
         self._gain, self._limit = table.gain, table.limit

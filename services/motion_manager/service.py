@@ -69,6 +69,9 @@ HAND_STATUS_PERIOD = 0.1  # while a goal leads a hand [s of robot time]
 STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
 NAP = 0.02  # between looks at requests while no Proprioceptor comes [s]
+STALL = 0.1  # between two looks: this process was stopped, or starved [s]
+CATCHING_UP = 0.1  # with what has come meanwhile, at most [s]
+LULL = 1e-3  # without another Proprioceptor: the newest one is there [s]
 
 M = TypeVar("M", bound=bifrost.Message)
 Input = bifrost.Subscriber[Any] | bifrost.Server[Any, Any]
@@ -123,6 +126,7 @@ class MotionManagerService:
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
         self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, limit=STREAM)
         self._inputs: bifrost.Poller[Input] = bifrost.Poller((self._proprioceptor, *self._commands, *self._requests))
+        self._looked = float("inf")  # when the inputs were, monotonic [s]
         self._commands_end = 0.0  # when no more of them are begun with [s]
         self._changes = -1  # the behavior that it begins with is told, too
         self._step_status_due = 0
@@ -173,6 +177,10 @@ class MotionManagerService:
         received = self._proprioceptor.receive(0.0)  # come during the tick
         waiting = self._inputs.look(NAP if received is None else 0.0)
         woken = time.monotonic()
+        if woken - self._looked > STALL:
+            received = self._newest(received)
+            woken = time.monotonic()
+        self._looked = woken
         self._trace.mark(Stage.AWAIT)
         if received is None and self._proprioceptor in waiting:
             received = self._proprioceptor.receive(0.0)
@@ -185,6 +193,13 @@ class MotionManagerService:
             self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
             return None, woken, waiting
         return received.message, min(woken, received.arrived * 1e-9), waiting
+
+    def _newest(self, received: bifrost.Received[Proprioceptor] | None) -> bifrost.Received[Proprioceptor] | None:
+        """After a stall: what lay on the way meanwhile comes first, and is past; the last of it counts."""
+        until = time.monotonic() + CATCHING_UP
+        while time.monotonic() < until and (newer := self._proprioceptor.receive(LULL)) is not None:
+            received = newer
+        return received
 
     def close(self) -> None:
         """The node itself belongs to the context."""

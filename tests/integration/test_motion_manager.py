@@ -56,6 +56,7 @@ FORWARD = np.array([ROBOT.tables.arm_presets["forward"]["right"][name] for name 
 LEGS = {*ROBOT.tables.groups["left_leg"], *ROBOT.tables.groups["right_leg"]}
 HELD = 0.05  # of a joint that is held while nobody commands it: it sags a little [rad]
 DAMPING_ALONE = 15.0  # of limp joints, which sink slowly, and the sensors' noise [N·m]
+FEW = 10  # Motors
 LIMP_AND_FALLING = 60.0  # likewise of ones that move [N·m]
 FLOODED = f"flooder floods {JOINT_SETPOINTS.name}"
 MISSED = 50  # periods in a row that a busy machine may cost
@@ -287,7 +288,13 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
 ) -> None:
     instance.configure(real_time_factor=1.0, actuators="hardware")
     system = MotionSystem(instance)
-    measured = instance.node("witness").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+    witness = instance.node("witness")
+    measured = witness.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+    statistics = witness.subscriber(STATISTICS["comms_manager"].name, Statistics)
+
+    def rejected() -> int:
+        statistics.latest()
+        return wait_until(statistics.latest, 20.0, "new statistics").message.rejected
 
     def last_led_by() -> str:
         return wait_until(measured.latest, 20.0, "a Proprioceptor").message.motor_behavior
@@ -298,8 +305,11 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
         try:
             wait_until(lambda: last_led_by() == REFLEX, 30.0, "the reflex")
             wait_until(lambda: last_led_by() == "walk", 30.0, "its end")
+            refused = rejected()
         finally:
             process.send_signal(signal.SIGCONT)
+        system.wait_behavior(Behavior.FREEZE)
+        assert rejected() - refused < FEW, "it answers the newest state, not all that came meanwhile"
 
     ways: tuple[tuple[Callable[[], object], tuple[str, ...]], ...] = (
         # The next one may find the reflex at it, or done.

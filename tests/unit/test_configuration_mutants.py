@@ -284,6 +284,23 @@ PROFILE: dict[str, Mutant] = {
 }
 
 
+GET_UP: dict[str, Mutant] = {
+    "a joint that the robot has not": Mutant(("l_hip_pitch", "tail"), "face_down.0.joints", "unknown joint 'tail'"),
+    "balance by a tail": Mutant(("[l_ankle_pitch,", "[tail,"), "balance.joints", "unknown joint 'tail'"),
+    "a knee in degrees": Mutant(
+        ("l_knee_pitch: 0.3", "l_knee_pitch: 17"), "face_down.0.joints.l_knee_pitch", "got 17 rad"
+    ),
+    "a pitch from more to less": Mutant(("[60, 120]", "[120, 60]"), "face_down.0.pitch", "got 120 to 60"),
+    "half a pitch": Mutant(("[60, 120]", "[60]"), "face_down.0.pitch", "length >= 2"),
+    "a pose in no time": Mutant(("duration: 1.2", "duration: 0"), "face_down.0.duration", "> 0"),
+    "a pose of nothing": Mutant(
+        ("- name: stretch out\n    duration: 1.2", "- name: stretch out"), "face_down.0.duration", ""
+    ),
+    "no way up": Mutant(("face_down:", "face_up:"), "face_up", "did you mean"),
+    "the roll twice": Mutant(("roll: 30", "roll: 30\nroll: 40"), "roll", "stands twice"),
+}
+
+
 def changed(file: Path, mutant: Mutant) -> None:
     """Write the change into a file."""
     text = file.read_text()
@@ -312,6 +329,18 @@ def test_a_robot_that_cannot_be_right_is_refused(tmp_path: Path, mutant: Mutant)
     (tmp_path / "model.xml").symlink_to(ESCHER / "model.xml")
     file = tmp_path / "robot.yaml"
     file.write_bytes((ESCHER / "robot.yaml").read_bytes())
+    changed(file, mutant)
+    with pytest.raises(ConfigurationError) as refused:
+        instance_setup.plan(Request(robot=str(tmp_path)))
+    require_told(refused.value, mutant)
+
+
+@pytest.mark.parametrize("mutant", GET_UP.values(), ids=GET_UP.keys())
+def test_a_way_up_that_cannot_be_right_is_refused(tmp_path: Path, mutant: Mutant) -> None:
+    for name in ("model.xml", "robot.yaml"):
+        (tmp_path / name).symlink_to(ESCHER / name)
+    file = tmp_path / "get_up.yaml"
+    file.write_bytes((ESCHER / "get_up.yaml").read_bytes())
     changed(file, mutant)
     with pytest.raises(ConfigurationError) as refused:
         instance_setup.plan(Request(robot=str(tmp_path)))

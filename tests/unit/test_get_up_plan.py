@@ -11,10 +11,11 @@ import pytest
 from msgspec import structs
 
 from tests.conftest import ROBOTS
+from valor.common.get_up_table import FILE
 from valor.common.model import full_model
 from valor.common.robot import RobotDescription
 from valor.common.table import read
-from valor.motion_manager.get_up import FILE, GetUp
+from valor.motion_manager.get_up import GetUp
 from valor.planning import plan_table
 from valor.planning.__main__ import main, plan
 from valor.planning.check import check

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import cos, radians, sin
-from pathlib import Path
-from shutil import copytree
 
 import numpy as np
 import pytest
 
 from tests.conftest import ROBOTS
 from tests.unit.robot_in_process import RobotInProcess
-from valor.common.errors import ConfigurationError
+from valor.common.get_up_table import Balance
 from valor.common.robot import FloatVector, RobotDescription
 from valor.motion_manager.behaviors import Behavior
-from valor.motion_manager.get_up import FILE, Balance, GetUp, SoleBalance
+from valor.motion_manager.get_up import GetUp, SoleBalance
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 
@@ -57,14 +55,6 @@ def test_from_elsewhere_than_face_down_it_is_refused(state: Lying, words: str) -
 def test_a_robot_without_a_table_refuses() -> None:
     thor = RobotDescription.load(ROBOTS / "thor")
     assert "thor has no get_up.yaml" in GetUp(thor).refusal(Lying(90.0))  # type: ignore[arg-type]
-
-
-def test_a_table_with_an_unknown_joint_is_refused_by_name(tmp_path: Path) -> None:
-    folder = copytree(ROBOTS / "escher", tmp_path / "escher")
-    table = folder / FILE
-    table.write_text(table.read_text().replace("l_hip_pitch", "tail", 1))
-    with pytest.raises(ConfigurationError, match=r"get_up\.yaml: face_down: .*unknown joint 'tail'"):
-        GetUp(RobotDescription.load(folder))
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(20.0, 0.0), (90.0, 45.0)])

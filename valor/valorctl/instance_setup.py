@@ -120,9 +120,10 @@ def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
             raise Document.load(file).error(("ports", port), expected(port, known))
     if not {"comms_manager", "motion_manager"}.intersection(profile.processes):
         return
-    from valor.common import robot_checks  # with MuJoCo: a fifth of a second
+    from valor.common import get_up_table, robot_checks  # with MuJoCo: a fifth of a second
 
     robot_checks.require_sound(robot)
+    get_up_table.load(robot)
     if profile.variant == "simulation":
         _check_period(robot, profile, file)
     elif not robot.tables.devices:
