@@ -80,7 +80,9 @@ ROWS = {
     "flat": Row("0.3 m/s on the flat, `sim`", lambda seed: _simulated("flat", seed)),
     "dirt": Row("0.3 m/s on the dirt, `sim`", lambda seed: _simulated("dirt", seed)),
     "stairs": Row("a plan over stairs of 10 cm, `sim`", lambda seed: _simulated("stairs", seed), "stairs"),
-    "devices": Row("0.3 m/s on the flat, emulated devices", lambda seed: on_devices("hdt_driver", "hdt_bridge", seed=seed)),
+    "devices": Row(
+        "0.3 m/s on the flat, emulated devices", lambda seed: on_devices("hdt_driver", "hdt_bridge", seed=seed)
+    ),
 }
 
 

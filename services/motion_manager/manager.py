@@ -13,7 +13,7 @@ import numpy as np
 
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.model import Model
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.behaviors import (
@@ -40,6 +40,7 @@ from valor.motion_manager.joint_gains import JointGains
 from valor.motion_manager.joint_reference import JointReference
 from valor.motion_manager.posture_control import AT_REST, PostureControl
 from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.report import Reporter
 from valor.motion_manager.stance import Stance
 from valor.motion_manager.upper_body import UpperBody
 from valor.motion_manager.watchdogs import ProprioceptorWatchdog
@@ -125,6 +126,7 @@ class MotionManager:
         self.velocity_handler = VelocityHandler(self.fsm, self._velocity_steps, self.rejections)
         self.pelvis_handler = PelvisHandler(self.fsm, self._controller.pelvis, self.rejections)
         self.device_reactions = DeviceReactions(self.fsm, lambda: self._controller.stepping)
+        self._reporter = Reporter(self.fsm, self._command, self._controller, self.hand_goals, self._hand_contacts)
         self._recovering = False  # said to be
         self._locomotion: Locomotion | None = None  # whose control is running; None: of nobody yet
         self._state: RobotState | None = None
@@ -184,6 +186,11 @@ class MotionManager:
             stepping,
             self._get_up.refusal(state),
         )
+
+    def report(self, motor_time: float = 0.0, tick_time: float = 0.0) -> MotionState:
+        """What the Motion Manager did and believes; the times are those that ``MotionState`` has fields for [s]."""
+        seen = self._time, self._proprioceptor_sequence, self._state, self._whole_body
+        return self._reporter.report(*seen, motor_time=motor_time, tick_time=tick_time)
 
     # --- one period -----------------------------------------------------------------------------------------------
 
@@ -383,56 +390,3 @@ class MotionManager:
         """Whether the robot is in the middle of a step, and its legs move."""
         fastest = (self._command.force * np.abs(state.joint_velocity)).max()
         return self._controller.stepping and bool(fastest > AT_REST)
-
-    # --- what is reported -----------------------------------------------------------------------------------------
-
-    def report(self, motor_time: float = 0.0, tick_time: float = 0.0) -> MotionState:
-        """What the Motion Manager did and believes; the times are those that ``MotionState`` has fields for [s]."""
-        fsm, state, command = self.fsm, self._state, self._whole_body
-        zeros = self._zeros
-        return MotionState(
-            time=self._time,
-            proprioceptor_sequence=self._proprioceptor_sequence,
-            behavior=fsm.behavior,
-            locomotion=fsm.locomotion,
-            manipulation=fsm.manipulation,
-            attention=fsm.attention,
-            reason=fsm.reason,
-            pelvis_position_in_odom=state.pelvis_position_in_odom if state else zeros[:3],
-            pelvis_orientation_in_odom=state.pelvis_orientation_in_odom if state else np.eye(4)[0],
-            pelvis_linear_velocity_in_odom=state.pelvis_linear_velocity_in_odom if state else zeros[:3],
-            pelvis_angular_velocity_in_pelvis=state.pelvis_angular_velocity_in_pelvis if state else zeros[:3],
-            com_in_odom=state.com_in_odom if state else zeros[:3],
-            dcm_in_odom=state.dcm_in_odom if state else zeros[:3],
-            dcm_reference_in_odom=self._dcm_reference(),
-            cop_in_odom=state.cop_in_odom if state else np.full(2, np.nan),
-            contacts=state.contacts if state else np.zeros(2, dtype=np.uint8),
-            contact_probability=state.contact_probability if state else zeros[:2],
-            pelvis_position_variance=state.pelvis_position_variance if state else zeros[:3],
-            pelvis_orientation_variance=state.pelvis_orientation_variance if state else zeros[:3],
-            pelvis_linear_velocity_variance=state.pelvis_linear_velocity_variance if state else zeros[:3],
-            hand_contacts=self._hand_contacts.contacts,
-            left_arm=self._led_by(0),
-            right_arm=self._led_by(1),
-            joint_setpoint=self._command.position,
-            pelvis_setpoint=self._controller.pelvis.position,
-            pelvis_in_support=self._controller.pelvis.measured(state) if state else np.zeros(6),
-            desired_foot_forces=command.desired_foot_forces if command else zeros[:2],
-            qp_status=int(command.qp_status if command else QpStatus.NOT_RUN),
-            qp_failures=self._controller.qp_failures,
-            torque_saturations=self._command.saturations,
-            motor_time=motor_time,
-            tick_time=tick_time,
-        )
-
-    def _led_by(self, side: int) -> str:
-        """Who leads an arm from outside (0 left, 1 right)."""
-        if self.fsm.manipulation is not Manipulation.TELEOP:
-            return "nobody"
-        return "hand_goal" if self.hand_goals.leads(side) else "setpoints"
-
-    def _dcm_reference(self) -> FloatVector:
-        """(3,) where the Whole-Body Controller wants the DCM; where it is, while nobody wants anything."""
-        if self._whole_body is not None:
-            return self._whole_body.dcm_reference_in_odom
-        return self._zeros[:3] if self._state is None else self._state.dcm_in_odom
