@@ -300,9 +300,8 @@ class _MotionSystem:
     def seen(self) -> str:
         """What is known of the motors."""
         if not self._heard:
-            if not self._node.discovery.connected:
-                return f"{self._node.daemon_silent}: nobody is found over Bifrost"
-            return "comms_manager is silent: nothing tells what the motors do"
+            silent = "comms_manager is silent: nothing tells what the motors do"
+            return silent if self._node.discovery.connected else f"{silent}; {self._node.daemon_silent}"
         return f"the motors obey {self._behavior or 'nobody yet'}"
 
 
