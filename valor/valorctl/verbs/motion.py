@@ -210,7 +210,7 @@ def walk(
     if result.reason:
         raise ValorError(f"walked {result.describe()}, then {result.reason}")
     if not json:
-        say(f"walked {result.describe()}")
+        say("; ".join([f"walked {result.describe()}", *([f"picture: {plot}"] if plot else [])]))
 
 
 def _draw(walked: Walk, file: Path) -> None:
