@@ -56,6 +56,14 @@ def test_what_is_lost_on_its_way_counts_if_one_alone_sends() -> None:
     assert several.floods.told() == ""  # the numbers may be those of several
 
 
+def test_a_publisher_that_takes_over_from_another_is_no_flood() -> None:
+    topics = Topics("pilot")
+    for number in (7, 8, 9, 100_000, 100_001, 10, 11):
+        topics._counted(number, {"publication_sequence_number": number})
+        topics.now += 0.1
+    assert topics.floods.told() == ""
+
+
 def test_of_several_publishers_all_are_named_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
     topics = Topics("pilot", "evil", "pilot")
     with caplog.at_level(logging.WARNING):

@@ -86,7 +86,9 @@ class TopicFloods:
             now, before = int(self._clock() * 1e9), newest
             newest = info.get("publication_sequence_number") or 0
             too_much = taken.exceeds(1, now)
-            if sent.exceeds(max(1, newest - before) if before else 1, now) or too_much:
+            # One jump alone is another publisher's turn.
+            passed = min(max(1, newest - before), ROS_TOPIC.burst) if before else 1
+            if sent.exceeds(passed, now) or too_much:
                 names = sorted(set(self._publishers(topic)))
                 if too_much or len(names) == 1:
                     self._note(f"{' or '.join(names) or 'somebody'} floods {topic}")

@@ -256,7 +256,8 @@ def _leftovers(_: Instance) -> Finding:
         text = ", ".join(f"{count} of instance {name} in {home}" for home, name, count in orphaned)
         advice = "; ".join(f"VALOR_HOME={home} valorctl down --instance {name}" for home, name, _ in orphaned)
         return Finding("leftovers", "fail", f"processes without a supervisor: {text}", advice)
-    return Finding("leftovers", "ok", f"none; {len(groups)} instances are up on this computer")
+    there = "1 instance is" if len(groups) == 1 else f"{len(groups)} instances are"
+    return Finding("leftovers", "ok", f"none; {there} up on this computer")
 
 
 CHECKS: tuple[Callable[[Instance], Finding], ...] = (
