@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.conftest import wait_until
+from tests.conftest import PATIENCE, wait_until
 from valor.common.instance import Instance, Settings
 from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware import kinds as drivers
-from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault
+from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault
 from valor.device_emulators import kinds as emulators
 from valor.device_emulators.emulator import EmulatedFault, Emulator
 from valor.device_emulators.robot import SimulatedRobot
@@ -89,12 +89,25 @@ class Bench:
         """A driver that has found nothing yet; it may expect another robot."""
         return drivers.make(self.device, DeviceContext(self.instance, self.settings, robot or self.description))
 
+    def _started(self) -> Device:
+        """A driver whose motors are on. A start is refused where the computer gives the emulator no turn for long."""
+        until = time.monotonic() + PATIENCE
+        while True:
+            driver = self.driver()
+            try:
+                driver.find()
+                driver.enable()
+            except DeviceError:
+                driver.close()
+                if time.monotonic() > until:
+                    raise
+            else:
+                return driver
+
     @contextmanager
     def running(self) -> Iterator[Device]:
         """A driver with its thread."""
-        driver, stopping = self.driver(), threading.Event()
-        driver.find()
-        driver.enable()
+        driver, stopping = self._started(), threading.Event()
         thread = threading.Thread(target=driver.run, args=(stopping,))
         thread.start()
         try:
