@@ -14,7 +14,7 @@ import psutil
 import bifrost
 from tests.soak import disk, links
 from tests.soak.event import Event
-from tests.soak.rig import Rig
+from tests.soak.rig import BrokenError, Rig
 from valor.common import membership
 from valor.common.errors import ValorError
 from valor.common.messages import FaultReply, FaultRequest
@@ -47,12 +47,13 @@ def _kill_while_up(rig: Rig, rng: random.Random, process: str) -> list[str]:
 
     def begun() -> bool:
         with contextlib.suppress(ValorError):  # there is no supervisor yet
-            return process in rig.pids()
+            return process in rig.pids() or up.poll() is not None
         return up.poll() is not None
 
     rig.wait(begun, f"{process} begun by `up`")
     time.sleep(rng.uniform(0.0, 3.0))
-    rig.send(process, signal.SIGKILL)
+    with contextlib.suppress(ValorError, BrokenError):  # `up` has given up by itself
+        rig.send(process, signal.SIGKILL)
     return found + rig.end_up(up, process)
 
 

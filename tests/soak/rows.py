@@ -69,12 +69,10 @@ HELD_BY: Mapping[tuple[str, str, str], str] = {
 }
 # fmt: on
 """Tests of their own, beside the soak that may draw any row: (event, activity, profile) → test."""
-
-
 _ALL = ("standing", "walking", "stepping", "arm on its way", "soft stop", "frozen", "fallen")
 _SOME = ("standing", "walking", "arm on its way", "fallen")
 _FEW = ("standing", "walking")
-_ON_FEET = ("standing",)
+_STANDING = ("standing",)
 MEASURED: Sequence[tuple[str, Sequence[str]]] = (
     ("kill motion_manager", _ALL),
     ("stop motion_manager 7 s", _ALL),
@@ -84,9 +82,9 @@ MEASURED: Sequence[tuple[str, Sequence[str]]] = (
     ("kill (bifrostd|bag_recorder|footstep_converter)", ("standing", "walking", "stepping")),
     ("stop (bifrostd|bag_recorder|footstep_converter) 7 s", ("standing", "walking", "stepping")),
     ("kill (hdt_driver|hdt_bridge)", ("standing", "arm on its way")),
-    ("kill device_emulators", _ON_FEET),
+    ("kill device_emulators", _STANDING),
     ("kill .* and .*", _FEW),
-    ("kill .* during up", _ON_FEET),
+    ("kill .* during up", _STANDING),
     ("flood over .*", _SOME),
     ("starved of CPU", ("standing", "walking", "stepping", "arm on its way")),
     ("garbage bytes|malformed messages|wrong ROS messages", _FEW),
@@ -125,7 +123,7 @@ def read(file: Path) -> list[dict[str, Any]]:
 
 
 def to_do(file: Path | None, profile: str, wanted: Sequence[str], times: int) -> Iterator[tuple[str, int]]:
-    """Rows, and the how manieth time, until each was measured so often; those measured least come first."""
+    """Rows, each with which time it is, until each was measured so often; those measured least come first."""
     written = read(file) if file else []
     done = Counter(f"{each['activity']}/{each['event']}" for each in written if each["profile"] == profile)
     for time_ in range(times):
