@@ -130,6 +130,7 @@ def files_of(instance: Instance) -> list[Path]:
         instance.behavior_file,
         supervisor_config.config_file(instance),
         supervisor_config.pid_file(instance),
+        *instance.folder.glob(f"*{instance.network_file.stem}.*.nodes*"),  # what a killed bifrostd has left
         *instance.folder.glob("supervisor.sock*"),
     ]
     return [file for file in candidates if os.path.lexists(file)]
