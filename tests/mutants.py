@@ -165,15 +165,17 @@ class Map:
 
         Not where nothing has changed since it was made.
         """
-        state, file = _state(folder), OUT / f"{name}.seconds"
+        state, file = _state(folder, tests), OUT / f"{name}.seconds"
         if file.exists() and file.read_text().partition("\n")[0] == state:
             return
         os.environ |= {"COVERAGE_FILE": str(OUT / f"{name}.coverage"), "COVERAGE_CORE": "ctrace"}
         recorder = Recorder()
-        pytest.main(
+        ended = pytest.main(
             [*tests, "-q", "-p", "no:cacheprovider", f"--cov={folder}", "--cov-context=test", "--cov-report="],
             [recorder],
         )
+        if ended not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            sys.exit(1)
         rows = [f"{cpu:.4f} {wall:.4f} {test}" for test, (cpu, wall) in recorder.seconds.items()]
         file.write_text("\n".join([state, *rows]))
 
@@ -196,10 +198,10 @@ class Map:
         return [test for i, (test, total) in enumerate(zip(ordered, totals, strict=True)) if i == 0 or total <= LONGEST]
 
 
-def _state(folder: str) -> str:
+def _state(folder: str, tests: Sequence[str]) -> str:
     """What the tests and what they test are now."""
     files = sorted(file for root in (Path("tests"), Path(folder)) for file in root.rglob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    return hashlib.sha256(repr(tests).encode() + b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def exchange(file: Path, old: str, new: str) -> bool:
@@ -274,7 +276,7 @@ class Runner:
                 status = _run(session, mutant, code, items)
             os._exit(status)
         wall = sum(self._tests.on_the_wall[item.nodeid] for item in items)
-        deadline = time.monotonic() + 4 * wall + 30  # of one that waits for ever
+        deadline = time.monotonic() + 10 * wall + 60  # of one that waits for ever
         ended, status = 0, 0
         while not ended and time.monotonic() < deadline:
             ended, status = os.waitpid(pid, os.WNOHANG)
