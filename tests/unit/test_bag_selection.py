@@ -68,9 +68,9 @@ def test_words_become_bounds(words: list[str], expected: Bounds) -> None:
     [
         (["5"], "--bag-bound 5: expected a size, an age or a part of the disk"),
         (["5 parsecs"], "--bag-bound 5 parsecs: expected"),
-        (["120%"], "--bag-bound: .* <= 1.*, got 1.2"),
-        (["1MB"], "--bag-bound: .*8388608.*, got 1000000"),
-        (["0d"], "--bag-bound: .*, got 0"),
+        (["120%"], "--bag-bound 120%: .* <= 1.*, got 1.2"),
+        (["1MB"], "--bag-bound 1MB: expected int >= 8388608 B, got 1000000"),
+        (["0d"], "--bag-bound 0d: .*, got 0"),
         (["5GB", "6GB"], "--bag-bound 6GB: expected one of each kind"),
         (["none", "6GB"], "--bag-bound none 6GB: expected none by itself"),
     ],

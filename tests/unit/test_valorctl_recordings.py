@@ -57,12 +57,15 @@ def test_recordings_are_listed_kept_and_pruned(instance: Instance) -> None:
 
     assert "stays" in ctl("keep", DAY1)
     assert "kept" in ctl("list")
+    ctl("keep", DAY1, "--undo")
+    assert "kept" not in ctl("list")
+    assert ctl("keep", str(instance.bags / DAY1 / "any piece")) == f"{DAY1} stays\n"
     bounds = ("--bag-bound", "9MB", "--bag-bound", "9999d")
     told = ctl("prune", "--dry-run", *bounds)
     assert f"{DAY2}_fall.mcap: 3.1 MB, more than 9 MB in all" in told and "3.1 MB would be freed" in told
     assert len(json.loads(ctl("list", "--json"))) == 2
     assert "3.1 MB freed; recordings take 6.3 MB" in ctl("prune", *bounds)
-    ctl("keep", DAY1, "--undo")
+    ctl("keep", str(instance.bags / DAY1), "--undo")
     recordings.save_bounds(instance.bags, Bounds(age=None, size=8 << 20, share=None))
     assert "0.0 MB freed" in ctl("prune"), "within those of the last `up`"
     assert "6.3 MB freed; recordings take 0.0 MB" in ctl("prune", "--bag-bound", "60s")

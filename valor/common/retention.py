@@ -31,7 +31,7 @@ class Bounds(Table):
     """
 
     age: Positive | None = 30 * DAY  # since a piece was finished [s]
-    size: Annotated[int, Meta(ge=8 * LEAST_PIECE)] | None = 20_000_000_000  # of all together [B]
+    size: Annotated[int, Meta(ge=8 * LEAST_PIECE, extra={"unit": "B"})] | None = 20_000_000_000  # of all together [B]
     share: Annotated[float, Meta(gt=0, le=1)] | None = 0.1  # of the disk that they are on, all together
 
     def limit(self, capacity: int) -> int | None:

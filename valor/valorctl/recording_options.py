@@ -72,7 +72,7 @@ def bounds(words: Sequence[str], base: Bounds, where: str = BOUND) -> Bounds:
     try:
         return checked(Bounds, plain(base) | values)
     except TableError as error:
-        raise ConfigurationError(f"{where}: {error.what}") from None
+        raise ConfigurationError(f"{' '.join((where, *words))}: {error.what}") from None
 
 
 def _amounts(where: str, words: Sequence[str], keys: dict[str, str], expected: str) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def _show(rows: list[Row]) -> None:
 
 
 def keep(
-    name: Annotated[str, typer.Argument(help="One of those that `bag list` shows.")],
+    name: Annotated[str, typer.Argument(help="One of those that `bag list` shows, or its path.")],
     undo: Annotated[bool, typer.Option("--undo", help="Let it go again when it is the oldest.")] = False,
 ) -> None:
     """Mark a recording to stay, whatever the bounds."""
@@ -69,6 +69,8 @@ def keep(
 
     instance = Instance.from_environment()
     found = {each.name: each for each in recordings.look(instance.bags)}
+    path = Path(name).resolve()
+    name = next((each for each in found if (instance.bags / each).resolve() in (path, *path.parents)), name)
     if name not in found:
         raise ValorError(f"{name}: no recording in {instance.bags}; `valorctl bag list` shows them")
     try:
