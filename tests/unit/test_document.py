@@ -21,7 +21,7 @@ OURS = sorted(
     for folder in ("deploy", "examples", "robots", "services")
     for file in (REPOSITORY / folder).rglob("*.yaml")
 )  # fmt: skip
-BOUND = 20.0  # for the worst file of the largest size on the busiest computer [s]
+BOUND = 20.0  # of the processor's time, for the worst file of the largest size on a slow computer [s]
 
 
 def load(text: str | bytes) -> Any:
@@ -200,9 +200,9 @@ HOSTILE = {
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE.keys())
 def test_bombs_do_not_go_off(text: str) -> None:
-    began = time.perf_counter()
+    began = time.process_time()
     assert refusal(text)
-    assert time.perf_counter() - began < BOUND
+    assert time.process_time() - began < BOUND
 
 
 def test_the_largest_harmless_files_are_read() -> None:
