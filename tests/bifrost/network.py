@@ -273,7 +273,7 @@ def connected(publisher: bifrost.Publisher[Sample], *subscribers: bifrost.Subscr
     until(all_have, "every subscriber has had a message")
     for subscriber, last in reached.items():
         while last < sequence:
-            received = subscriber.receive(timeout=5.0)
+            received = subscriber.receive(timeout=60.0)
             assert received is not None
             last = received.sequence  # noqa: PLW2901
     return sequence
@@ -283,7 +283,7 @@ def sequences(subscriber: bifrost.Subscriber[Sample], last: int) -> list[int]:
     """The sequences of all messages that come, up to one."""
     came: list[int] = []
     while not came or came[-1] < last:
-        received = subscriber.receive(timeout=10.0)
+        received = subscriber.receive(timeout=60.0)
         assert received is not None
         came.append(received.sequence)
     return came

@@ -81,7 +81,7 @@ def test_nothing_is_completed_where_no_daemon_answers(bare_network: BifrostNetwo
 def test_topics(net: BifrostNetwork) -> None:
     peer = net.peer("publish", "lab/sample", "200")
     listener = net.node("listener").subscriber("lab/sample", Sample)
-    assert listener.receive(timeout=10.0)
+    assert listener.receive(timeout=60.0)
     registered(net, "publish_peer", "listener")
     listed = until(lambda: [t for t in run_json("topic", "list") if t["subscribers"]], "the subscriber is listed")
     [topic] = listed

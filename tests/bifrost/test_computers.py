@@ -34,10 +34,10 @@ def test_nodes_find_each_other_whoever_comes_first(two_computers: BifrostNetwork
         else:
             net.start_daemon(what)
     assert subscriber is not None and client is not None
-    received = [subscriber.receive(timeout=15.0) for _ in range(50)]
+    received = [subscriber.receive(timeout=60.0) for _ in range(50)]
     assert None not in received
     assert (subscriber.drops, subscriber.rejected) == (0, 0)
-    assert client.call(Question("open", 0.0), timeout=15.0).text == "open for test"
+    assert client.call(Question("open", 0.0), timeout=60.0).text == "open for test"
     graph = node.graph(10.0)
     [publisher] = graph.topics["lab/sample"].publishers
     assert publisher.computer == "far"
@@ -77,21 +77,21 @@ def test_data_flows_while_a_daemon_is_dead_and_all_find_each_other_again(
     node = net.node("test", "near")
     subscriber = node.subscriber("lab/sample", Sample, queue=10_000)
     client = node.client("lab/ask", Question, Answer)
-    assert subscriber.receive(timeout=15.0)
-    assert client.call(Question("open", 0.0), timeout=15.0).handled == 1
+    assert subscriber.receive(timeout=60.0)
+    assert client.call(Question("open", 0.0), timeout=60.0).handled == 1
     net.kill_daemon(killed)
     if killed == "far":  # out of the table, still connected
         until(lambda: names(node) == {"test"}, "far's nodes are out of the table", 20.0)
     subscriber.drain()
-    assert None not in [subscriber.receive(timeout=5.0) for _ in range(100)]
-    assert client.call(Question("open", 0.0), timeout=10.0).handled == 2
+    assert None not in [subscriber.receive(timeout=60.0) for _ in range(100)]
+    assert client.call(Question("open", 0.0), timeout=60.0).handled == 2
     net.start_daemon(killed)
     newcomer = net.node("newcomer", "near").subscriber("lab/sample", Sample)
-    assert newcomer.receive(timeout=15.0) is not None
+    assert newcomer.receive(timeout=60.0) is not None
     until(lambda: names(node) == {"publish_peer", "serve_peer", "test", "newcomer"}, "all are registered again")
     while subscriber.drain():
         pass
-    assert subscriber.receive(timeout=5.0) is not None
+    assert subscriber.receive(timeout=60.0) is not None
     assert subscriber.drops == 0
 
 

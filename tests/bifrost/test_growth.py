@@ -87,7 +87,7 @@ def test_more_sockets_than_there_may_be(net: BifrostNetwork, monkeypatch: pytest
         with pytest.raises(bifrost.Error, match=r"another socket: Too many open files.*RLIMIT_NOFILE"):
             more += [node.subscriber(f"lab/{i}", Sample) for i in range(100)]
         publisher.publish(sample(7))
-        received = subscriber.receive(timeout=10.0)
+        received = subscriber.receive(timeout=60.0)
         assert received is not None
         assert received.message == sample(7)
     finally:

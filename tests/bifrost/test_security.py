@@ -73,9 +73,9 @@ def test_garbage_on_every_port_ends_nothing_and_delays_nobody(net: BifrostNetwor
     node = net.node("test")
     subscriber = node.subscriber("lab/sample", Sample, queue=10_000)
     client = node.client("lab/ask", Question, Answer)
-    first = subscriber.receive(timeout=10.0)
+    first = subscriber.receive(timeout=60.0)
     assert first is not None
-    assert client.call(Question("open", 0.0), timeout=10.0)
+    assert client.call(Question("open", 0.0), timeout=60.0)
     listening = [port for pid in (net.daemon.pid, publisher.pid, server.pid) for port in ports(pid)]
     assert len(listening) == 3  # a daemon, a publishing node and a server listen on one each
     for port in listening:
@@ -87,11 +87,11 @@ def test_garbage_on_every_port_ends_nothing_and_delays_nobody(net: BifrostNetwor
                 assert answer[12:32].rstrip(b"\0") == b"CURVE", name
     assert net.daemon.poll() is None
     assert publisher.alive() and server.alive()
-    assert client.call(Question("open", 0.0), timeout=10.0).handled == 2
+    assert client.call(Question("open", 0.0), timeout=60.0).handled == 2
     messages = subscriber.drain()
     assert [m.sequence for m in messages] == list(range(first.sequence + 1, first.sequence + 1 + len(messages)))
     with bifrost.Node("newcomer", network=net.network) as newcomer:
-        assert newcomer.subscriber("lab/sample", Sample).receive(timeout=10.0) is not None
+        assert newcomer.subscriber("lab/sample", Sample).receive(timeout=60.0) is not None
 
 
 def test_only_holders_of_the_keys_hear_anything(net: BifrostNetwork) -> None:

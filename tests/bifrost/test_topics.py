@@ -44,7 +44,7 @@ class Other(bifrost.Message):
 def test_messages_of_another_process_arrive_whole_and_in_order(net: BifrostNetwork) -> None:
     net.peer("publish", "lab/sample", "200")
     subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
-    received = [subscriber.receive(timeout=10.0) for _ in range(100)]
+    received = [subscriber.receive(timeout=60.0) for _ in range(100)]
     assert all(r is not None for r in received)
     sequences = [r.sequence for r in received if r]
     assert sequences == list(range(sequences[0], sequences[0] + 100))
@@ -72,7 +72,7 @@ def test_any_order_of_arrival(bare_network: BifrostNetwork, order: str) -> None:
         else:
             subscriber = bare_network.node("test").subscriber("lab/sample", Sample)
     assert subscriber is not None
-    assert subscriber.receive(timeout=10.0) is not None
+    assert subscriber.receive(timeout=60.0) is not None
 
 
 def test_latest_gives_the_newest_and_queue_gives_all(net: BifrostNetwork) -> None:
@@ -123,11 +123,11 @@ def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> No
     peer = net.peer("publish", "lab/sample", "200")
     subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
     for _ in range(20):
-        assert subscriber.receive(timeout=10.0) is not None
+        assert subscriber.receive(timeout=60.0) is not None
     peer.kill()
     subscriber.drain()
     net.peer("publish", "lab/sample", "200")
-    again = subscriber.receive(timeout=10.0)
+    again = subscriber.receive(timeout=60.0)
     assert again is not None
     assert again.sequence < 100
     assert subscriber.drops == 0
@@ -137,7 +137,7 @@ def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> No
 def test_a_killed_publisher_is_known_to_be_gone_while_its_last_words_may_still_come(net: BifrostNetwork) -> None:
     peer = net.peer("publish", "lab/sample", "200")
     subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
-    assert subscriber.receive(timeout=10.0) is not None
+    assert subscriber.receive(timeout=60.0) is not None
     assert len(subscriber.publishers) == 1
     peer.kill()
     until(lambda: not subscriber.publishers, "the killed publisher is gone", 5.0)  # before its connection is given up
@@ -172,7 +172,7 @@ def test_two_publishers_of_one_topic_and_two_threads_of_one_node(net: BifrostNet
     threads = [threading.Thread(target=publish, args=(p, 1000 * i)) for i, p in enumerate(publishers)]
     for thread in threads:
         thread.start()
-    received = [subscriber.receive(timeout=5.0) for _ in range(600)]
+    received = [subscriber.receive(timeout=60.0) for _ in range(600)]
     for thread in threads:
         thread.join()
     counts = [r.message.count for r in received if r]
@@ -203,7 +203,7 @@ def test_no_wake_up_is_ever_lost(net: BifrostNetwork) -> None:
     thread.start()
     for count in range(rounds):
         ping.publish(sample(count, 1))
-        received = heard_pong.receive(timeout=5.0)
+        received = heard_pong.receive(timeout=60.0)
         assert received is not None and received.message.count == count, f"round {count}, {failures}"
     thread.join()
     assert not failures
@@ -245,15 +245,15 @@ def test_a_wait_is_ended_from_another_thread_and_no_message_is_lost_by_it(
         assert time.monotonic() - before < 10.0
         waker.join()
         publisher.publish(sample(count))
-        received = subscriber.receive(timeout=5.0)
+        received = subscriber.receive(timeout=60.0)
         assert received is not None and received.message.count == count
     # Woken while a message waits: either comes first, and neither keeps the next message from being heard.
     publisher.publish(sample(7))
     assert bifrost.wait([subscriber], timeout=5.0) == [subscriber]
     subscriber.wake()
-    until(lambda: (heard := subscriber.receive(timeout=5.0)) is not None and heard.message.count == 7, "the message")
+    until(lambda: (heard := subscriber.receive(timeout=60.0)) is not None and heard.message.count == 7, "the message")
     publisher.publish(sample(8))
-    until(lambda: (heard := subscriber.receive(timeout=5.0)) is not None and heard.message.count == 8, "the message")
+    until(lambda: (heard := subscriber.receive(timeout=60.0)) is not None and heard.message.count == 8, "the message")
     assert (subscriber.drops, subscriber.rejected) == (0, 0)
 
 
@@ -350,17 +350,17 @@ def test_who_comes_late_gets_the_last_of_a_latched_publisher_once(net: BifrostNe
     for count in range(5):
         publisher.publish(sample(count))
     late = net.node("late").subscriber("lab/sample", Sample, queue=queue)
-    received = late.receive(timeout=10.0)
+    received = late.receive(timeout=60.0)
     assert received is not None and (received.sequence, received.message) == (5, sample(4))
     publisher.publish(sample(5))
     later = net.node("later").subscriber("lab/sample", Sample, queue=queue)
     anybody = net.node("anybody").subscribe_any("lab/sample", queue=queue)
     for subscriber in (late, later, anybody):
-        received = subscriber.receive(timeout=10.0)
+        received = subscriber.receive(timeout=60.0)
         assert received is not None and received.sequence == 6
     assert publisher.publish(sample(6)) == 7
     for subscriber in (late, later, anybody):
-        received = subscriber.receive(timeout=10.0)
+        received = subscriber.receive(timeout=60.0)
         assert received is not None and received.sequence == 7
         assert subscriber.receive(timeout=0.1) is None
         assert (subscriber.drops, subscriber.rejected) == (0, 0)
@@ -374,14 +374,14 @@ def test_latched_messages_are_neither_doubled_nor_disordered_by_coming_and_going
     node = net.node("test")
     for _ in range(20):
         subscriber = node.subscriber("lab/sample", Sample, queue=1000)
-        received = [subscriber.receive(timeout=10.0) for _ in range(20)]
+        received = [subscriber.receive(timeout=60.0) for _ in range(20)]
         sequences = [one.sequence for one in received if one]
         assert sequences == list(range(sequences[0], sequences[0] + 20))
         assert (subscriber.drops, subscriber.rejected) == (0, 0)
         subscriber.close()
     # A connection that breaks and is made again brings nothing twice.
     subscriber = node.subscriber("lab/sample", Sample, queue=1000)
-    first = subscriber.receive(timeout=10.0)
+    first = subscriber.receive(timeout=60.0)
     assert first is not None
     peer.signal(signal.SIGSTOP)
     while subscriber.receive(timeout=0.5):
@@ -391,7 +391,7 @@ def test_latched_messages_are_neither_doubled_nor_disordered_by_coming_and_going
     peer.signal(signal.SIGCONT)
     last = first.sequence
     for _ in range(200):
-        received_one = subscriber.receive(timeout=10.0)
+        received_one = subscriber.receive(timeout=60.0)
         assert received_one is not None and received_one.sequence > last
         last = received_one.sequence
     assert subscriber.rejected == 0
@@ -425,7 +425,7 @@ def test_a_full_queue_drops_what_it_was_told_to(net: BifrostNetwork, drop: Any, 
     start = connected(publisher, subscriber, witness)
     for count in range(200):
         publisher.publish(sample(count))
-    while (received := witness.receive(timeout=5.0)) and received.sequence < start + 200:
+    while (received := witness.receive(timeout=60.0)) and received.sequence < start + 200:
         pass
     if drop == "oldest":
         until(lambda: subscriber.drops == 190, "what the queue cannot hold is dropped")
@@ -439,7 +439,7 @@ def test_a_full_queue_drops_what_it_was_told_to(net: BifrostNetwork, drop: Any, 
         subscriber.drain()
         publisher.publish(sample(7))
         assert selector.select(timeout=5.0)
-    last = subscriber.receive(timeout=5.0)
+    last = subscriber.receive(timeout=60.0)
     assert last is not None and last.message.count == 7
     subscriber.close()
 
@@ -567,7 +567,7 @@ class Rogue:
 
         until(arrived, "the subscriber hears the rogue")
         self.say(2)
-        while (one := subscriber.receive(timeout=5.0)) and one.message.count != 2:
+        while (one := subscriber.receive(timeout=60.0)) and one.message.count != 2:
             pass
 
 
@@ -591,7 +591,7 @@ def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwo
         rogue.say(3, incarnation=8)
         received = []
         while not received or received[-1].message != sample(3):
-            one = subscriber.receive(timeout=5.0)
+            one = subscriber.receive(timeout=60.0)
             assert one is not None, "the good one never came"
             received.append(one)
         return received[:-1]
@@ -635,7 +635,7 @@ def test_well_framed_nonsense_is_refused_and_counted(net: BifrostNetwork, rogue:
     fields = msgspec.msgpack.decode(payload)
     now = time.monotonic_ns()
     rogue.say(1, incarnation=20, sequence=10, stamp=now)
-    received = subscriber.receive(timeout=5.0)
+    received = subscriber.receive(timeout=60.0)
     assert received is not None and received.sequence == 10
     refused = subscriber.rejected
     nonsense = {
@@ -665,7 +665,7 @@ def test_well_framed_nonsense_is_refused_and_counted(net: BifrostNetwork, rogue:
     rogue.say(4)
     counts = []
     while not counts or counts[-1] != 4:
-        received = subscriber.receive(timeout=5.0)
+        received = subscriber.receive(timeout=60.0)
         assert received is not None
         counts.append(received.message.count)
     assert counts == [4]
@@ -678,7 +678,7 @@ def test_an_array_cut_short_is_refused(net: BifrostNetwork, rogue: Rogue) -> Non
     refused = subscriber.rejected
     rogue.send(rogue.header() + bytes([0x94, 1, 0xA0, 0xC4, 7]) + bytes(7) + bytes([0xC4, 0]))
     rogue.send(rogue.header() + bytes([0x94, 1, 0xA0, 0xC4, 8]) + bytes(8) + bytes([0xC4, 0]))
-    received = subscriber.receive(timeout=5.0)
+    received = subscriber.receive(timeout=60.0)
     assert received is not None and received.message.values.tolist() == [0.0]
     assert received.origin == ""
     assert subscriber.rejected == refused + 1
@@ -686,7 +686,7 @@ def test_an_array_cut_short_is_refused(net: BifrostNetwork, rogue: Rogue) -> Non
 
 def test_any_type_is_decoded_by_its_registered_schema(net: BifrostNetwork) -> None:
     net.peer("publish", "lab/sample", "100")
-    received = net.node("test").subscribe_any("lab/sample", queue=10).receive(timeout=10.0)
+    received = net.node("test").subscribe_any("lab/sample", queue=10).receive(timeout=60.0)
     assert received is not None
     message = received.message
     assert not isinstance(message, Sample)
