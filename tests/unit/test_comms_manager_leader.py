@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -47,6 +48,11 @@ class Bench(Robot):
         self.live(2, led=True)
         assert self.leader.behavior == behavior
         self.leader.abandon("a test wants it so")
+
+    def proposal(self, behavior: str) -> Motor:
+        """A Motor that somebody could send."""
+        assert self.motor is not None
+        return msgspec.structs.replace(self.motor, behavior=behavior)
 
     def order(self, behavior: str) -> BehaviorReply:
         return self.leader.stop(BehaviorRequest(behavior), "somebody")
@@ -137,7 +143,18 @@ def test_soft_stop_is_what_the_reflex_does(walking: Bench) -> None:
     assert walking.leader.silent and not walking.leader.limp
 
 
-def test_freeze_waits_for_both_feet_and_for_nothing_else(walking: Bench) -> None:
+@pytest.mark.parametrize("order", [FALL, FREEZE])
+def test_until_it_is_taken_on_no_other_motor_is_heard(held: Bench, order: str) -> None:
+    assert held.order(order).accepted
+    heard = {each for each in Behavior if held.leader.hears(held.proposal(each))}
+    assert heard == {order, FALL}
+
+
+def test_beside_the_reflex_only_stops_are_heard(walking: Bench) -> None:
+    assert {each for each in Behavior if walking.leader.hears(walking.proposal(each))} == {FREEZE, FALL}
+
+
+def test_freeze_waits_for_both_feet_and_for_nothing_else(walking: Bench, caplog: pytest.LogCaptureFixture) -> None:
     walking.live(10, **LIFTED)
     assert walking.order(FREEZE).accepted
     walking.live(10, **LIFTED)
@@ -146,6 +163,7 @@ def test_freeze_waits_for_both_feet_and_for_nothing_else(walking: Bench) -> None
     while walking.leader.balancing:
         walking.live()
         lasts += 1
+    assert "held, as is demanded" in caplog.text
     assert walking.leader.behavior == FREEZE
     assert walking.leader.silent and not walking.leader.limp
 
