@@ -52,7 +52,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 @pytest.mark.parametrize("signum", SIGNALS, ids=lambda signum: signum.name)
 def test_a_signal_during_imports_ends_in_one_line(signum: signal.Signals) -> None:
     code = (
-        "import os, sys; from valor.valorctl import __main__ as valorctl\n"
+        f"import os, signal, sys; signal.signal({int(signum)}, signal.SIG_DFL)  # nohup has one of them ignored\n"
+        "from valor.valorctl import __main__ as valorctl\n"
         "class Import:\n"
         f"    def find_spec(self, name, *_): os.kill(os.getpid(), {int(signum)}) if name == 'typer' else None\n"
         "sys.meta_path.insert(0, Import())\n"
