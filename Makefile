@@ -79,8 +79,8 @@ demo: $(STAMP)
 # Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other; beside
 # them the rest, and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even where
 # PYTHONDONTWRITEBYTECODE is set.
-BESIDE := $(wildcard $(patsubst %,tests/integration/test_%.py,bag_recorder experiments footstep_converter getting_up \
-  installed wheels))
+BESIDE := $(wildcard $(patsubst %,tests/integration/test_%.py,bag_recorder demo_walk experiments footstep_converter \
+  getting_up installed wheels))
 TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 test: $(STAMP) lint
 	@{ status=0; $(TESTS) -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance || status=1; \
