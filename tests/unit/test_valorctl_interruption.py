@@ -62,3 +62,16 @@ def test_a_signal_during_imports_ends_in_one_line(signum: signal.Signals) -> Non
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (ended.returncode, ended.stderr) == (128 + signum, f"valorctl: interrupted by {signum.name}\n")
+
+
+def test_ctrl_c_while_the_first_module_is_looked_for_ends_without_a_word() -> None:
+    code = (
+        "import os, signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Import:\n"
+        "    def find_spec(self, name, *_): None if name.startswith('valor') else os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Import())\n"
+        "for name in set(sys.modules) & {'__future__', 'contextlib', 'gc'}: del sys.modules[name]\n"
+        "import valor.valorctl.__main__\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (-signal.SIGINT, "")

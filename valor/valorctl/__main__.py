@@ -3,9 +3,8 @@
 Until ``main`` has begun Ctrl-C would end in a traceback; so it ends without a word until then, as by other signals.
 """
 
-from __future__ import annotations
-
-import _signal  # type: ignore[import-not-found]  # built in: no file is read for it
+# No `from __future__`: it would look for a file before Ctrl-C is seen to.
+import _signal  # type: ignore[import-not-found]  # loaded with the interpreter
 
 if _signal.getsignal(_signal.SIGINT) is not _signal.SIG_IGN:  # as under nohup
     _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
