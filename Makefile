@@ -93,7 +93,7 @@ test: $(STAMP) lint
 test-quick: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance tests/bifrost
 
-# The quick tests on every other Python that is found here.
+# Lint and the quick tests on every other Python that is found here.
 test-pythons: $(STAMP)
 	.ci/pythons $(PYTHON_VERSION) $(PYTHONS)
 

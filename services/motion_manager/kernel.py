@@ -59,9 +59,9 @@ class Kernel:
         buffer: Any  # the stubs know only the calls with sizes
         buffer, self._evaluate = function.buffer()
         for i, array in enumerate(inputs):
-            buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]  # NumPy's stubs: it is a Buffer
+            buffer.set_arg(i, array.data)
         for i, array in enumerate(outputs):
-            buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
+            buffer.set_res(i, array.data)
         self._alive = (buffer, inputs, outputs)  # what ``_evaluate`` works on
 
     def __call__(self) -> None:

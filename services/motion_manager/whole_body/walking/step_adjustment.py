@@ -121,9 +121,9 @@ class StepAdjuster:
         )
         buffer: Any  # casadi's stubs know only the call with sizes
         buffer, evaluate = function.buffer()
-        buffer.set_arg(0, memoryview(self._parameters))  # type: ignore[arg-type]  # NumPy's stubs: it is a Buffer
+        buffer.set_arg(0, self._parameters.data)
         for i, result in enumerate((self._hessian, self._gradient, self._constant)):
-            buffer.set_res(i, memoryview(result))  # type: ignore[arg-type]
+            buffer.set_res(i, result.data)
         self._buffer = buffer  # keeps what ``evaluate`` works on alive
         fill: Callable[[], None] = evaluate
         return fill
