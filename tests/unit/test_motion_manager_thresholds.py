@@ -14,7 +14,7 @@ from bifrost import Received
 from tests.conftest import examples
 from tests.unit.test_motion_manager_bypass import goal, lead, standing
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
-from valor.common.messages import BalanceWeights
+from valor.common.messages import BalanceWeights, Proprioceptor
 from valor.common.robot import FloatVector
 from valor.motion_manager.hand_contact import HandContacts
 from valor.motion_manager.handlers.hand_goal import FARTHEST, NORM
@@ -93,6 +93,31 @@ def test_an_attitude_is_a_unit_quaternion(norm: float, sound: bool) -> None:
         assert watchdog.malformed == (0 if sound else malformed)
     assert watchdog.fault(FOUND.proprioceptor()) == ""
     assert watchdog.malformed == 0, "in a row"
+
+
+VECTORS = [
+    name for name in Proprioceptor.__struct_fields__ if isinstance(getattr(FOUND.proprioceptor(), name), np.ndarray)
+]
+
+
+@pytest.mark.parametrize("name", VECTORS)
+def test_each_vector_has_its_length_and_is_finite(name: str) -> None:
+    watchdog = ProprioceptorWatchdog(N)
+    sound = getattr(FOUND.proprioceptor(), name)
+    size = len(sound)
+    for wrong in (sound[:-1], np.append(sound, 0.0)):
+        said = FOUND.proprioceptor(**{name: wrong})
+        assert watchdog.fault(said) == f"{name} has {len(wrong)} numbers; expected {size}"
+    for number in (np.nan, np.inf, -np.inf):
+        broken = sound.copy()
+        broken[-1] = number
+        assert watchdog.fault(FOUND.proprioceptor(**{name: broken})) == f"{name} is not finite"
+    assert watchdog.malformed == 5
+
+
+def test_numbers_whose_squares_are_finite_each_and_not_together_are_not_believed() -> None:
+    large = {name: np.eye(1, N)[0] * 1e154 for name in ("joint_position", "joint_velocity")}
+    assert ProprioceptorWatchdog(N).fault(FOUND.proprioceptor(**large)) == "its numbers are too large to be true"
 
 
 forces = st.floats(0.0, 30.0) | st.sampled_from([ROBOT.tables.hands.contact_on, ROBOT.tables.hands.contact_off])
