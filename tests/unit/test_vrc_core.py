@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 
+import bifrost
 from tests.conftest import ROBOTS, RunningInstance, examples, wait_until
 from tests.unit.test_vrc_joint_trajectory_controller import PERIOD, Arm, point
 from tests.unit.test_vrc_trajectory import LIMITS, NOW
@@ -27,7 +28,7 @@ from valor.common.errors import ConfigurationError
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
 from valor.common.model import full_model
 from valor.common.robot import RobotDescription
-from valor.common.topics import BEHAVIOR, MOTION_STATE
+from valor.common.topics import BEHAVIOR, MOTION_STATE, STOP, ServiceTopic
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
@@ -246,5 +247,44 @@ def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(in
             assert (answer.number, answer.accepted, answer.behavior) == (number, accepted, "stand_prep")
             assert accepted or "refused walk: because" in answer.reason
         assert "idle" not in asked and asked == sorted(asked)
+    finally:
+        commander.close()
+
+
+def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(instance: RunningInstance) -> None:
+    asked: list[tuple[str, str]] = []
+
+    def server_of(name: str, topic: ServiceTopic) -> bifrost.Server[BehaviorRequest, BehaviorReply]:
+        def serve(request: BehaviorRequest, _origin: str) -> BehaviorReply:
+            asked.append((name, request.behavior))
+            return BehaviorReply(accepted=False, behavior="fall", reason="it lies")
+
+        return instance.node(name).server(topic.name, BehaviorRequest, BehaviorReply, serve)
+
+    servers = [server_of("comms_manager", STOP)]
+    commander = BehaviorCommander(instance.node("valor_ros_controller"))
+    heard = threading.Event()
+    commander.answered = heard.set
+
+    def ask(behavior: str) -> str:
+        heard.clear()
+        commander.ask(1, behavior)
+        while not heard.wait(0.01):
+            for server in servers:
+                server.serve()
+        answer = commander.answers.read()
+        assert answer is not None
+        return "" if answer.silent else answer.reason
+
+    try:
+        for behavior in ("freeze", "soft_stop"):
+            reason = wait_until(lambda b=behavior: ask(b), 30.0, f"the answer to {behavior}")  # type: ignore[misc]
+            assert reason == f"the Comms Manager refused {behavior}: it lies"
+        assert not ask("stand"), "nobody stands a robot up but the Motion Manager"
+        assert asked == [("comms_manager", "freeze"), ("comms_manager", "soft_stop")]
+        servers.append(server_of("motion_manager", BEHAVIOR))
+        wait_until(lambda: ask("stand"), 30.0, "the Motion Manager's answer")
+        assert ask("freeze") == "the Motion Manager refused freeze: it lies"
+        assert ("comms_manager", "stand") not in asked
     finally:
         commander.close()
