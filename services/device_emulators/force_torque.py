@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from valor.common.arrays import FloatArray
 from valor.common.devices import can_frames
 from valor.common.devices.can_frames import Identity, Status
 from valor.common.devices.end_to_end import protect
 from valor.common.devices.ports import open_can
 from valor.common.devices.table import FtCan
 from valor.common.instance import Instance, Settings
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.device_emulators.can_emulator import CanEmulator
 from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
@@ -31,7 +32,7 @@ class ForceTorqueEmulator(CanEmulator):
         self._places = {unit.id: f"{unit.at}_wrench" for unit in table.sensors}
 
     def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
-        wrench: FloatVector = getattr(robot.measured, self._places[unit])
+        wrench: FloatArray = getattr(robot.measured, self._places[unit])
         hot = self.faults.active(self._names[unit], EmulatedFault.OVER_TEMPERATURE, now)
         status = Status.OVER_TEMPERATURE if hot else Status(0)
         content = can_frames.SENSOR_STATE.pack(counter, status, round(10.0 * (FEVER if hot else NORMAL)), *wrench)

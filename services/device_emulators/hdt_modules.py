@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 import can
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.devices import hdt_bus
 from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints
 from valor.common.devices.ports import open_can
 from valor.common.devices.table import HdtBifrost
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches, NoSuchFaultError
 from valor.device_emulators.robot import Places, SimulatedRobot
 from valor.simulation.gears import Gears
@@ -72,7 +73,7 @@ class _Segment:
     joints: Places
     names: tuple[str, ...]
     first: bool
-    temperature: FloatVector
+    temperature: FloatArray
     setpoints: Setpoints | None = None
     frame: int = 0
     heard: float = -math.inf

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
@@ -29,7 +30,6 @@ from valor.common.devices.mip import (
     Stream,
     ThreeDm,
 )
-from valor.common.robot import FloatVector
 
 VALID = 1
 
@@ -43,7 +43,7 @@ class Attitude:
     specific_force: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)  # [m/s²]
 
     @classmethod
-    def of_pelvis(cls, orientation: FloatVector, rate: FloatVector, specific_force: FloatVector) -> Attitude:
+    def of_pelvis(cls, orientation: FloatArray, rate: FloatArray, specific_force: FloatArray) -> Attitude:
         """From axes that point forward, left and up, in a world whose z points up."""
         w, x, y, z = orientation.tolist()
         return cls((w, x, -y, -z), _half_turn(rate), _half_turn(specific_force))
@@ -259,7 +259,7 @@ class MipSensor:
         }
 
 
-def _half_turn(vector: FloatVector) -> tuple[float, float, float]:
+def _half_turn(vector: FloatArray) -> tuple[float, float, float]:
     x, y, z = vector.tolist()
     return x, -y, -z
 

@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints, segments
 from valor.common.robot import RobotDescription
 
@@ -22,7 +22,6 @@ _SPEED_MARGIN = 1.5  # over a joint's velocity limit, that its set-point may mov
 _LOG_EVERY = 5.0  # of each kind of refusal [s]
 _HIGHEST_MODE = 3
 
-FloatVector = npt.NDArray[np.float64]
 _log = logging.getLogger("hdt_driver")
 
 
@@ -153,7 +152,7 @@ class Limb:
             del self._sent[next(iter(self._sent))]
         return Setpoints(wanted.mode, self._held, velocity, effort, wanted.stiffness, wanted.damping)
 
-    def _lead(self, position: FloatVector, now: float) -> None:
+    def _lead(self, position: FloatArray, now: float) -> None:
         """Joints that are not led yet and whose set-point is near are led from now on."""
         if self._target is None:
             return

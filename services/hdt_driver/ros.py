@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.context import Context
@@ -22,6 +21,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from valor_msgs.msg import HdtCommand, HdtState
 
+from valor.common.arrays import FloatArray
 from valor.common.devices.hdt_bus import Setpoints
 from valor.hdt_driver.limb import Command, Limb
 
@@ -110,9 +110,9 @@ def _unused(_: Any) -> None:
     raise AssertionError("nothing spins this node")
 
 
-def _vector(values: array.array[float]) -> npt.NDArray[np.float64]:
+def _vector(values: array.array[float]) -> FloatArray:
     return np.frombuffer(values, dtype=np.float64) if len(values) else np.zeros(0)
 
 
-def _array(values: npt.NDArray[np.float64]) -> array.array[float]:
+def _array(values: FloatArray) -> array.array[float]:
     return array.array("d", values.tobytes())

@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.model import WHOLE_BODY_GROUPS
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.joint_reference import Joints
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 from valor.motion_manager.whole_body import WholeBodyCommand
@@ -26,8 +27,8 @@ class Drive:
     """How the motors are driven, (n,) each."""
 
     mode: Modes
-    stiffness: FloatVector  # [N·m/rad]
-    damping: FloatVector  # [N·m·s/rad]
+    stiffness: FloatArray  # [N·m/rad]
+    damping: FloatArray  # [N·m·s/rad]
 
 
 class MotorCommand:
@@ -71,32 +72,32 @@ class MotorCommand:
         self.replaced = 0
         self.drive = self._limp
         self.velocity = self.effort = nothing
-        self.position: FloatVector = np.clip(nothing, robot.lower, robot.upper)
+        self.position: FloatArray = np.clip(nothing, robot.lower, robot.upper)
 
     def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
         """(n,) one mode for each way that joints are driven in operation."""
         return np.where(self.force, force, np.where(self.impedance, impedance, position)).astype(np.uint8)
 
-    def set_gains(self, stiffness: FloatVector, damping: FloatVector) -> None:
+    def set_gains(self, stiffness: FloatArray, damping: FloatArray) -> None:
         """Gains (n,) of the joints driven by impedance in operation [N·m/rad, N·m·s/rad]."""
         self._operation = Drive(
             self._operation.mode, np.where(self.force, 0.0, stiffness), np.where(self.force, 0.0, damping)
         )
 
-    def limp(self, measured: FloatVector) -> None:
+    def limp(self, measured: FloatArray) -> None:
         """No effort, only damping against motion; joints with a position servo of their own are off."""
         self._set(self._limp, measured, self._zeros, self._zeros)
 
-    def hold(self, position: FloatVector, velocity: FloatVector, effort: FloatVector) -> None:
+    def hold(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> None:
         """Every joint by its servo gains, around a reference and an effort [rad, rad/s, N·m]."""
         self._set(self._servo, position, velocity, effort)
 
     def balance(
         self,
         command: WholeBodyCommand,
-        position: FloatVector,
-        velocity: FloatVector,
-        effort: FloatVector,
+        position: FloatArray,
+        velocity: FloatArray,
+        effort: FloatArray,
         share: float,
     ) -> None:
         """The Whole-Body Controller's command, which takes over from ``hold`` bit by bit.
@@ -134,10 +135,10 @@ class MotorCommand:
     def _set(
         self,
         drive: Drive,
-        position: FloatVector,
-        velocity: FloatVector,
-        effort: FloatVector,
-        led: tuple[FloatVector, FloatVector] | None = None,
+        position: FloatArray,
+        velocity: FloatArray,
+        effort: FloatArray,
+        led: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Take a command if it is finite, within the limits of positions and efforts; else repeat the last.
 

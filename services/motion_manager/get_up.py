@@ -11,8 +11,9 @@ from math import asin, atan2, degrees, sqrt
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.get_up_table import FILE, Balance, KeyPose, load
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.posture_move import PostureMove
 from valor.motion_manager.whole_body import RobotState
@@ -44,7 +45,7 @@ class GetUp:
         """
         self._robot = robot
         self._table = load(robot)
-        self.goals: list[FloatVector] = []
+        self.goals: list[FloatArray] = []
         self._poses: list[KeyPose] = self._table.face_down if self._table else []
         posture = robot.nominal_posture
         for pose in self._poses:
@@ -114,7 +115,7 @@ class GetUp:
             self._balance.lean(position, state, now)
         command.hold(position, velocity, self._no_effort)
 
-    def _go(self, start: FloatVector, now: float) -> None:
+    def _go(self, start: FloatArray, now: float) -> None:
         pose = self._poses[self._stage]
         self.progress = f"getting up, {self._stage + 1} of {len(self._poses)}: {pose.name}"
         self._move = PostureMove(
@@ -143,7 +144,7 @@ class SoleBalance:
         self._middle = 0.5 * (foot.heel + foot.toe)  # of a sole, ahead of its frame [m]
         self._before = (-1.0, 0.0, 0.0)  # time [s], CoM ahead [m], its speed [m/s]
 
-    def lean(self, position: FloatVector, state: RobotState, now: float) -> None:
+    def lean(self, position: FloatArray, state: RobotState, now: float) -> None:
         """Add to the joints' reference (n,) what leads the CoM to the middle of the soles."""
         forward = state.sole_rotations_in_odom[:, :2, 0].sum(0)
         way = state.com_in_odom[:2] - state.sole_positions_in_odom[:, :2].mean(0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.common.robot_tables import Hands
 
@@ -37,6 +38,6 @@ class HandContacts:
             self._before = now
             self.contacts = np.array(now, dtype=np.uint8)
 
-    def _touches(self, wrench: npt.NDArray[np.float64], before: int) -> int:
+    def _touches(self, wrench: FloatArray, before: int) -> int:
         x, y, z, *_ = wrench.tolist()
         return int(x * x + y * y + z * z > (self._off if before else self._on))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.arrays import FloatArray
+from valor.common.robot import RobotDescription
 from valor.motion_manager.joint_reference import Joints
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]
@@ -44,7 +45,7 @@ class JointGains:
         """Be nominal, at once: for the beginning of balance."""
         self.stiffness, self.damping = self._asked = self._nominal
 
-    def ask(self, joints: npt.NDArray[np.intp], stiffness: FloatVector, damping: FloatVector) -> None:
+    def ask(self, joints: npt.NDArray[np.intp], stiffness: FloatArray, damping: FloatArray) -> None:
         """Go to gains within the limits.
 
         Args:

@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.arrays import FloatArray
+from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel
 from valor.motion_manager.limiter import JointLimiter
 from valor.motion_manager.posture_move import PostureMove
@@ -31,9 +32,9 @@ class Setpoint:
     """Where k joints shall be at a time, within their limits."""
 
     joints: npt.NDArray[np.intp]  # (k,) their places in every joint vector
-    position: FloatVector  # (k,) [rad]
-    velocity: FloatVector  # (k,) [rad/s]
-    acceleration: FloatVector  # (k,) [rad/s²]
+    position: FloatArray  # (k,) [rad]
+    velocity: FloatArray  # (k,) [rad/s]
+    acceleration: FloatArray  # (k,) [rad/s²]
     time: float  # robot time [s]
 
 
@@ -60,26 +61,26 @@ class JointReference:
         self._running_on = False  # whether a set-point with velocity or acceleration is in force
 
     @property
-    def position(self) -> FloatVector:
+    def position(self) -> FloatArray:
         """(n,) commanded [rad]; a new array whenever it changes."""
         return self._limiter.position
 
     @property
-    def velocity(self) -> FloatVector:
+    def velocity(self) -> FloatArray:
         """(n,) commanded [rad/s]."""
         return self._limiter.velocity
 
     @property
-    def acceleration(self) -> FloatVector:
+    def acceleration(self) -> FloatArray:
         """(n,) of what is followed, for feed-forward [rad/s²]."""
         return self._target_acceleration
 
     @property
-    def acceleration_limit(self) -> FloatVector:
+    def acceleration_limit(self) -> FloatArray:
         """(n,) [rad/s²]."""
         return self._limiter.acceleration_limit
 
-    def take_up(self, joints: Joints, position: FloatVector) -> None:
+    def take_up(self, joints: Joints, position: FloatArray) -> None:
         """Hold joints where they are found: the only way a reference changes without passing the limiter.
 
         For joints that were not held by this reference until now.
@@ -107,7 +108,7 @@ class JointReference:
         self._setpoint_time[joints] = setpoint.time
         self._running_on = True
 
-    def move(self, joints: Joints, goal: FloatVector, now: float) -> PostureMove:
+    def move(self, joints: Joints, goal: FloatArray, now: float) -> PostureMove:
         """Move joints to a posture, all arriving together; a move that is under way ends."""
         if self._move is not None:
             self.hold(self._moving)
@@ -152,7 +153,7 @@ class JointReference:
         self._target_acceleration = acceleration
         self._limiter.advance(target, velocity, dt)
 
-    def _come_to_rest(self, target: FloatVector) -> None:
+    def _come_to_rest(self, target: FloatArray) -> None:
         """No set-point is fresh: what they had run on to is where the joints stay."""
         self._setpoint[:] = target
         self._setpoint_velocity[:] = self._setpoint_acceleration[:] = 0.0

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from valor.common.robot import FloatVector
+from valor.common.arrays import FloatArray
 
 Expression = Any
 """A ``casadi.SX``, for which there are no types."""
@@ -28,8 +28,8 @@ class Kernel:
         self,
         name: str,
         expressions: Callable[..., Sequence[Expression]],
-        inputs: Sequence[FloatVector],
-        outputs: Sequence[FloatVector],
+        inputs: Sequence[FloatArray],
+        outputs: Sequence[FloatArray],
     ) -> None:
         """Build the expressions and bind them to the arrays.
 
@@ -69,7 +69,7 @@ class Kernel:
         self._evaluate()
 
 
-def _shape(array: FloatVector) -> tuple[int, int]:
+def _shape(array: FloatArray) -> tuple[int, int]:
     """Rows and columns as a matrix."""
     if array.ndim < 2:
         return array.size, 1

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.arrays import FloatArray
+from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
@@ -32,14 +33,14 @@ class Limiter:
     """
 
     def __init__(
-        self, lower: FloatVector, upper: FloatVector, velocity_limit: FloatVector, acceleration_limit: FloatVector
+        self, lower: FloatArray, upper: FloatArray, velocity_limit: FloatArray, acceleration_limit: FloatArray
     ) -> None:
         """At rest at 0, or at the limit next to it."""
         n = len(lower)
         self._lower, self._upper = lower, upper
         self.velocity_limit = velocity_limit
         self.acceleration_limit = acceleration_limit
-        self._brake: FloatVector = BRAKE_FACTOR * acceleration_limit
+        self._brake: FloatArray = BRAKE_FACTOR * acceleration_limit
         self.position = np.clip(np.zeros(n), lower, upper)
         self.velocity = np.zeros(n)
         self.acceleration = np.zeros(n)
@@ -47,7 +48,7 @@ class Limiter:
         self._evaluate = Kernel("limiter", self._expressions, (self._asked, self._dt), (self._next,))
         self._before = b""  # what was asked last; empty: not by what it gave
 
-    def reset(self, joints: npt.NDArray[np.bool_], position: FloatVector) -> None:
+    def reset(self, joints: npt.NDArray[np.bool_], position: FloatArray) -> None:
         """Take some up, at rest, where they are found.
 
         Args:
@@ -59,18 +60,18 @@ class Limiter:
         self.velocity = np.where(joints, 0.0, self.velocity)
         self.acceleration = np.where(joints, 0.0, self.acceleration)
 
-    def stopping_point(self) -> FloatVector:
+    def stopping_point(self) -> FloatArray:
         """(n,) Where each comes to rest when it brakes now, within the position limits."""
         distance = self.velocity * np.abs(self.velocity) / (2.0 * self._brake)
         return self._within_limits(self.position + distance)
 
-    def _within_limits(self, position: FloatVector) -> FloatVector:
+    def _within_limits(self, position: FloatArray) -> FloatArray:
         """Positions within the limits, where those of what was found outside begin there."""
         lower, upper = np.minimum(self._lower, self.position), np.maximum(self._upper, self.position)
-        within: FloatVector = np.maximum(np.minimum(position, upper), lower)
+        within: FloatArray = np.maximum(np.minimum(position, upper), lower)
         return within
 
-    def advance(self, target: FloatVector, target_velocity: FloatVector, dt: float) -> None:
+    def advance(self, target: FloatArray, target_velocity: FloatArray, dt: float) -> None:
         """Go one period towards a target.
 
         Args:

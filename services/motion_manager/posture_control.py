@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.arrays import FloatArray
+from valor.common.robot import RobotDescription
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.joint_reference import JointReference
 from valor.motion_manager.posture_move import PostureMove
@@ -28,13 +29,13 @@ class PostureControl:
         self._effort = np.zeros(len(robot.joints))  # kept beside the servos
         self._move: PostureMove | None = None
 
-    def take_up(self, position: FloatVector, effort: FloatVector) -> None:
+    def take_up(self, position: FloatArray, effort: FloatArray) -> None:
         """Hold every joint where it is found, with the effort that it was found with."""
         self._move = None
         self._reference.take_up(self._everything, position)
         self._effort = self._bounded(effort)
 
-    def take_over(self, position: FloatVector) -> None:
+    def take_over(self, position: FloatArray) -> None:
         """Take the joints over from the Whole-Body Controller with the efforts that it commanded last.
 
         Joints driven by force had no position command and are held where they are, ``position`` (n,) [rad]; those
@@ -59,14 +60,14 @@ class PostureControl:
         """Move every joint to the nominal posture."""
         self._move = self._reference.move(self._everything, self._robot.nominal_posture, now)
 
-    def _bounded(self, effort: FloatVector) -> FloatVector:
+    def _bounded(self, effort: FloatArray) -> FloatArray:
         return np.clip(effort, -self._robot.effort_limit, self._robot.effort_limit)
 
-    def effort(self, now: float) -> FloatVector:
+    def effort(self, now: float) -> FloatArray:
         """(n,) still kept beside the servos [N·m]."""
         return self._effort if self._move is None else (1.0 - self._move.gone(now)) * self._effort
 
-    def not_arrived(self, now: float, joint_velocity: FloatVector) -> str:
+    def not_arrived(self, now: float, joint_velocity: FloatArray) -> str:
         """Why the nominal posture is not reached yet; an empty text: it is."""
         if self._move is None:
             return "stand_prep has not begun"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from valor.common.robot import FloatVector
+from valor.common.arrays import FloatArray
 
 # Of s(τ) = 10τ³ − 15τ⁴ + 6τ⁵ (Flash and Hogan, 1985), τ from 0 to 1.
 _PEAK_VELOCITY = 1.875
@@ -21,11 +21,11 @@ class PostureMove:
 
     def __init__(
         self,
-        start: FloatVector,
-        goal: FloatVector,
+        start: FloatArray,
+        goal: FloatArray,
         *,
-        velocity: FloatVector,
-        acceleration: FloatVector,
+        velocity: FloatArray,
+        acceleration: FloatArray,
         began: float,
         shortest: float,
     ) -> None:
@@ -40,7 +40,7 @@ class PostureMove:
             shortest: the least duration, above 0 [s].
         """
         self._start, self.goal, self._began = start.copy(), goal.copy(), began
-        self._way: FloatVector = self.goal - self._start
+        self._way: FloatArray = self.goal - self._start
         distance = np.abs(self._way)
         self.duration = max(
             shortest,
@@ -65,7 +65,7 @@ class PostureMove:
         tau = self.progress(now)
         return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
 
-    def at(self, now: float) -> tuple[FloatVector, FloatVector, FloatVector]:
+    def at(self, now: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position [rad], velocity [rad/s] and acceleration [rad/s²], (n,) each."""
         tau = self.progress(now)
         rate = 30.0 * tau**2 * (1.0 - tau) ** 2 / self.duration

@@ -15,16 +15,16 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import Joint
 
 if TYPE_CHECKING:
     from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link
 
-Matrix = npt.NDArray[np.float64]
-Shape = tuple[str, dict[str, str], Matrix, Matrix]  # element, its attributes, position (3,) [m], rotation (3, 3)
+# Element, its attributes, position (3,) [m], rotation (3, 3).
+Shape = tuple[str, dict[str, str], FloatArray, FloatArray]
 
 _COLLISION_GROUP = 3  # of the model's geoms that collide; the others are seen
 _ORIGIN = np.zeros(3)
@@ -127,19 +127,19 @@ def _hinge(root: ElementTree.Element, table: Joint, link: Link) -> ElementTree.E
     return joint
 
 
-def _fix(root: ElementTree.Element, child: str, parent: str, position: Matrix, rotation: Matrix) -> None:
+def _fix(root: ElementTree.Element, child: str, parent: str, position: FloatArray, rotation: FloatArray) -> None:
     joint = ElementTree.SubElement(root, "joint", name=f"{child}_fixed", type="fixed")
     _place(joint, child, parent, position, rotation)
 
 
-def _place(joint: ElementTree.Element, child: str, parent: str, position: Matrix, rotation: Matrix) -> None:
+def _place(joint: ElementTree.Element, child: str, parent: str, position: FloatArray, rotation: FloatArray) -> None:
     """What a joint joins, and where the child stands in the parent at angle 0."""
     _origin(joint, position, rotation)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
 
 
-def _origin(element: ElementTree.Element, position: Matrix, rotation: Matrix) -> None:
+def _origin(element: ElementTree.Element, position: FloatArray, rotation: FloatArray) -> None:
     """Where something stands: R = R_z(yaw)·R_y(pitch)·R_x(roll)."""
     pitch = atan2(-rotation[2, 0], hypot(rotation[2, 1], rotation[2, 2]))
     if hypot(rotation[2, 1], rotation[2, 2]) > 1e-9:
@@ -149,7 +149,7 @@ def _origin(element: ElementTree.Element, position: Matrix, rotation: Matrix) ->
     ElementTree.SubElement(element, "origin", xyz=_numbers(position), rpy=_numbers((roll, pitch, yaw)))
 
 
-def _matrix(quaternion: Sequence[float] | Matrix) -> Matrix:
+def _matrix(quaternion: Sequence[float] | FloatArray) -> FloatArray:
     """(3, 3) of a quaternion (w, x, y, z)."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=float))
@@ -160,5 +160,5 @@ def _number(value: float) -> str:
     return f"{value + 0.0:.12g}"
 
 
-def _numbers(values: Sequence[float] | Matrix) -> str:
+def _numbers(values: Sequence[float] | FloatArray) -> str:
     return " ".join(_number(value) for value in values)

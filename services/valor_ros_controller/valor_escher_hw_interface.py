@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState, Proprioceptor
 from valor.common.robot import RobotDescription
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 
 PELVIS = "pelvis"
 """Stands for the pelvis' six among the groups of joints."""
@@ -53,16 +54,16 @@ class ValorEscherHWInterface:
         table, height = robot.tables.pelvis, robot.tables.nominal_base_height
         shift, turn = table.max_shift, (table.max_roll, table.max_pitch, table.max_yaw)
         lower = (-shift, -shift, height - table.max_down, *(-angle for angle in turn))
-        self._lower: Vector = np.concatenate((robot.lower, lower))
-        self._upper: Vector = np.concatenate((robot.upper, (shift, shift, height + table.max_up, *turn)))
+        self._lower: FloatArray = np.concatenate((robot.lower, lower))
+        self._upper: FloatArray = np.concatenate((robot.upper, (shift, shift, height + table.max_up, *turn)))
         speeds = np.repeat((table.max_speed, table.max_turn_rate), 3)
-        self._speed: Vector = np.concatenate((robot.velocity_limit, speeds))
+        self._speed: FloatArray = np.concatenate((robot.velocity_limit, speeds))
         self.time = 0
         self.measured: Proprioceptor | None = None
         self.motion: MotionState | None = None
-        self.position: Vector = np.zeros(n)
-        self.velocity: Vector = np.zeros(n)
-        self.commanded: Vector = np.zeros(n)
+        self.position: FloatArray = np.zeros(n)
+        self.velocity: FloatArray = np.zeros(n)
+        self.commanded: FloatArray = np.zeros(n)
         self.command_position = np.zeros(n)
         self.command_velocity = np.zeros(n)
         self.command_acceleration = np.zeros(n)
@@ -74,7 +75,7 @@ class ValorEscherHWInterface:
         self._indices: Indices = np.zeros(0, dtype=np.intp)
         self._sent = np.zeros(n)  # last set-point of every joint, and when
         self._sent_time = np.full(n, -(2**62), dtype=np.int64)
-        self._base: Vector = np.zeros(0)  # of the joints written: what the next set-point must not jump from
+        self._base: FloatArray = np.zeros(0)  # of the joints written: what the next set-point must not jump from
         self._base_time = 0
         self._select()
 
@@ -154,7 +155,7 @@ class ValorEscherHWInterface:
         """(m,) the joints whose commands are sent, ascending; a new object whenever it changes."""
         return self._indices
 
-    def rectify(self) -> tuple[Vector, Vector, Vector]:
+    def rectify(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The commands to send: base plus offsets, within limits, without a jump (command rectification).
 
         No position is farther from the one before than the joint may move in the time between them. A command that

@@ -15,6 +15,7 @@ import numpy as np
 
 import bifrost
 from valor.common import topics
+from valor.common.arrays import FloatArray
 from valor.common.floods import COMMANDS, STREAM
 from valor.common.messages import (
     ControlModeReport,
@@ -27,7 +28,7 @@ from valor.common.messages import (
 from valor.valor_ros_controller.behavior_commander import Commander
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
-from valor.valor_ros_controller.trajectory.limits import Indices, Vector
+from valor.valor_ros_controller.trajectory.limits import Indices
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
@@ -263,7 +264,7 @@ class ValorEscherInterface:
             self.lead_pelvis(position[k:], velocity[k:])
         self.set_points_sent += 1
 
-    def lead_pelvis(self, position: Vector, velocity: Vector) -> None:
+    def lead_pelvis(self, position: FloatArray, velocity: FloatArray) -> None:
         """Say where the pelvis shall be: (6,) as in ``PelvisSetpoint``, and their rates."""
         self._pelvis.publish(PelvisSetpoint(self._hw.time, position, velocity))
 

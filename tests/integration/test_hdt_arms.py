@@ -17,8 +17,9 @@ import pytest
 
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
+from valor.common.arrays import FloatArray
 from valor.common.messages import FaultReply, FaultRequest, HdtCommand, HdtState, JointMode
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.common.topics import FAULT
 from valor.comms_manager.hardware.device import Device, DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.hdt import Hdt
@@ -39,7 +40,7 @@ class Bench:
     running: RunningInstance
     hdt: Hdt
     node: bifrost.Node
-    wanted: FloatVector
+    wanted: FloatArray
 
     def __post_init__(self) -> None:
         self._stopping = threading.Event()
@@ -58,7 +59,7 @@ class Bench:
         self._thread.join()
 
     @property
-    def position(self) -> FloatVector:
+    def position(self) -> FloatArray:
         assert isinstance(self.hdt.measured, JointMeasurement)
         return self.hdt.measured.position
 
@@ -150,7 +151,7 @@ def led(running: RunningInstance) -> Iterator[Bench]:
             device.close()
 
 
-def _first_position(commands: bifrost.Subscriber[HdtCommand], limb: str) -> FloatVector:
+def _first_position(commands: bifrost.Subscriber[HdtCommand], limb: str) -> FloatArray:
     received = commands.receive(timeout=10.0)
     assert received is not None, f"no command to {limb}"
     commands.close()

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import BehaviorRequest, Motor
 from valor.common.model import controller_model
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import MotionManager
 from valor.simulation.plant import Plant
@@ -32,7 +33,7 @@ class RobotInProcess:
     def __init__(self, robot: RobotDescription, profile: str, seed: int) -> None:
         self.plant = Plant(robot, "flat", profile, seed)
         self.manager = MotionManager(robot, controller_model(robot))
-        self.peak: FloatVector = np.zeros(len(robot.joints))
+        self.peak: FloatArray = np.zeros(len(robot.joints))
         self._sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
         self._period = robot.control_period
         self._substeps = round(robot.control_period / self.plant.step_time)

@@ -10,11 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests import analysis_bag
-from valor.analysis.bag import Array, Bag
+from valor.analysis.bag import Bag
 from valor.analysis.end_effector import Hand, HandTrack, PoseError, Poses
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording
 from valor.analysis.timeline import Motion, Timeline
+from valor.common.arrays import FloatArray
 from valor.common.model import full_model
 from valor.common.robot import RobotDescription
 
@@ -35,7 +36,7 @@ def track(tmp_path_factory: pytest.TempPathFactory) -> HandTrack:
     return HandTrack.of(Recording(Bag(path), ROBOT), timeline, "right")
 
 
-def postures(count: int) -> tuple[Array, Array, Array]:
+def postures(count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     rng = np.random.default_rng(0)
     joints = ROBOT.nominal_posture + 0.3 * rng.standard_normal((count, len(ROBOT.joints)))
     turn = rng.standard_normal((count, 4))
@@ -106,7 +107,7 @@ def test_an_arm_that_nothing_moved_is_refused(tmp_path: Path) -> None:
 SWAY = np.array((0.06, -0.04, 0.03))  # of the pelvis, from its place before the arm moved [m]
 
 
-def swaying(time: float) -> tuple[Array, float]:
+def swaying(time: float) -> tuple[FloatArray, float]:
     """The pelvis gives way while the arm is out, and turns."""
     share = float(np.interp(time, (1.0, 2.5, 3.5, 4.9), (0.0, 1.0, 1.0, 0.0)))
     return share * SWAY, 0.2 * share

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import examples
-from valor.analysis.bag import Array
 from valor.analysis.errors import DissimilarSignalsError, SignalError
 from valor.analysis.lag import lag, lags
 from valor.analysis.signals import Signal, common_rate
+from valor.common.arrays import FloatArray
 
 
-def motion(t: Array) -> Array:
+def motion(t: FloatArray) -> FloatArray:
     """As a joint moves: rests and quick smooth turns, of frequencies up to some 3 Hz that never repeat."""
     return np.tanh(3.0 * np.sin(1.3 * t + 0.4 * t * t)) + 0.5 * np.sin(0.37 * t) + 0.3 * np.exp(-((t - 3.0) ** 2))
 

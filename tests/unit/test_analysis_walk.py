@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from tests.analysis_bag import write_messages
 from tests.unit.test_walk_report import COUNT, LATE, ROBOT, SPEED, walk
-from valor.analysis.bag import Array, Bag
+from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording
 from valor.analysis.walk import MOVING, SHORTEST_PRINT, WALKING, Figures, Timeliness, Track, _stands, footprints
+from valor.common.arrays import FloatArray
 from valor.common.messages import ClockStatus, GroundTruth, MotionState
 from valor.common.model import full_model
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
@@ -124,7 +125,7 @@ def test_stands_are_the_runs_of_contact(touching: list[bool]) -> None:
     assert all(before[1] + 1 < after[0] for before, after in pairwise(runs))
 
 
-def truth(k: int, pose: tuple[Array, Array], left: bool, right: bool) -> GroundTruth:
+def truth(k: int, pose: tuple[FloatArray, FloatArray], left: bool, right: bool) -> GroundTruth:
     zeros = np.zeros(3)
     return GroundTruth(
         time=round(1e9 * k * PERIOD), pelvis_position_in_world=pose[0], pelvis_orientation_in_world=pose[1],
@@ -133,7 +134,7 @@ def truth(k: int, pose: tuple[Array, Array], left: bool, right: bool) -> GroundT
     )  # fmt: skip
 
 
-def pose(k: int) -> tuple[Array, Array]:
+def pose(k: int) -> tuple[FloatArray, FloatArray]:
     """Of a pelvis that goes on and turns."""
     turn = 0.02 * k
     return np.array([0.01 * k, 0.3, 0.9]), np.array([np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])

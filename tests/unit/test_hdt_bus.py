@@ -6,11 +6,11 @@ import math
 
 import can
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valor.common.arrays import FloatArray
 from valor.common.devices import hdt_bus
 from valor.common.devices.hdt_bus import SegmentState, Setpoints
 
@@ -25,11 +25,11 @@ CARRIED = {
 finite = st.floats(-1e4, 1e4)
 
 
-def vectors(k: int) -> st.SearchStrategy[npt.NDArray[np.float64]]:
+def vectors(k: int) -> st.SearchStrategy[FloatArray]:
     return st.lists(finite, min_size=k, max_size=k).map(np.array)
 
 
-def as_carried(name: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def as_carried(name: str, values: FloatArray) -> FloatArray:
     return np.clip(values, *CARRIED[name])
 
 

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 
@@ -24,13 +25,13 @@ LIMIT = ROBOT.effort_limit
 seeds = st.integers(0, 2**32 - 1)
 
 
-def wish(rng: np.random.Generator, scale: float = 0.5) -> tuple[FloatVector, FloatVector, FloatVector]:
+def wish(rng: np.random.Generator, scale: float = 0.5) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Positions within their limits, velocities, and efforts of so many times their limits at most."""
     position = rng.uniform(np.maximum(ROBOT.lower, -1.0), np.minimum(ROBOT.upper, 1.0))
     return position, rng.uniform(-1.0, 1.0, N), scale * rng.uniform(-1.0, 1.0, N) * LIMIT
 
 
-def whole_body(position: FloatVector, velocity: FloatVector, effort: FloatVector) -> WholeBodyCommand:
+def whole_body(position: FloatArray, velocity: FloatArray, effort: FloatArray) -> WholeBodyCommand:
     return WholeBodyCommand(effort, np.zeros(N), position, velocity, np.zeros(3), np.zeros(2), QpStatus.OPTIMAL, 0)
 
 
@@ -38,7 +39,7 @@ def said(command: MotorCommand) -> Motor:
     return command.message(7, 8, 9, "stand")
 
 
-def torque(motor: Motor, position: FloatVector, velocity: FloatVector) -> FloatVector:
+def torque(motor: Motor, position: FloatArray, velocity: FloatArray) -> FloatArray:
     """Of every compliant joint, as ``JointMode`` has it, measured there [N·m]; of the others their set-point [rad]."""
     servo = motor.stiffness * (motor.position - position) + motor.damping * (motor.velocity - velocity)
     free = -motor.damping * velocity

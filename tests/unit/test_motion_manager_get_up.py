@@ -10,8 +10,9 @@ import pytest
 
 from tests.conftest import ROBOTS
 from tests.unit.robot_in_process import RobotInProcess
+from valor.common.arrays import FloatArray
 from valor.common.get_up_table import Balance
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.get_up import GetUp, SoleBalance
 
@@ -25,16 +26,16 @@ class Lying:
     pitch: float  # [deg]
     roll: float = 0.0
     rate: float = 0.0
-    joint_position: FloatVector = field(default_factory=ESCHER.nominal_posture.copy)
+    joint_position: FloatArray = field(default_factory=ESCHER.nominal_posture.copy)
 
     @property
-    def pelvis_rotation_in_odom(self) -> FloatVector:
+    def pelvis_rotation_in_odom(self) -> FloatArray:
         p, r = radians(self.pitch), radians(self.roll)
         row = (-sin(p) * cos(r), sin(r), cos(p) * cos(r))
         return np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), row])
 
     @property
-    def pelvis_angular_velocity_in_pelvis(self) -> FloatVector:
+    def pelvis_angular_velocity_in_pelvis(self) -> FloatArray:
         return np.array([0.0, self.rate, 0.0])
 
 
@@ -97,13 +98,13 @@ class Squatting:
     """As much of a RobotState as the balance on the soles looks at: heading to y, the CoM ahead of their middle."""
 
     ahead: float  # [m]
-    sole_positions_in_odom: FloatVector = field(default_factory=lambda: np.array([[2.0, 3.0, 0.0], [2.2, 3.0, 0.0]]))
-    sole_rotations_in_odom: FloatVector = field(
+    sole_positions_in_odom: FloatArray = field(default_factory=lambda: np.array([[2.0, 3.0, 0.0], [2.2, 3.0, 0.0]]))
+    sole_rotations_in_odom: FloatArray = field(
         default_factory=lambda: np.tile([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], (2, 1, 1))
     )
 
     @property
-    def com_in_odom(self) -> FloatVector:
+    def com_in_odom(self) -> FloatArray:
         return np.array([2.1, 3.025 + self.ahead, 0.5])
 
 
@@ -111,7 +112,7 @@ def test_on_its_soles_the_ankles_lean_it_back_to_the_middle() -> None:
     table = Balance(joints=["l_ankle_pitch", "r_ankle_pitch"], gain=0.6, limit=0.1)
     ankles = [ESCHER.index[name] for name in table.joints]
 
-    def lean(*way: float) -> FloatVector:
+    def lean(*way: float) -> FloatArray:
         balance, position = SoleBalance(ESCHER, table), ESCHER.nominal_posture.copy()
         for i, ahead in enumerate(way):
             position = ESCHER.nominal_posture.copy()

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.arrays import FloatArray
+from valor.common.robot import RobotDescription
 from valor.motion_manager.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
 from valor.motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
 from valor.motion_manager.posture_move import PostureMove
@@ -22,10 +23,10 @@ SLACK = 1.02  # the last step onto a limit may brake so much harder than planned
 class Watch:
     """Sees every step of a reference, and that none passes a limit."""
 
-    def __init__(self, position: FloatVector) -> None:
+    def __init__(self, position: FloatArray) -> None:
         self.position, self.velocity = position.copy(), np.zeros(N)
 
-    def step(self, position: FloatVector, velocity: FloatVector) -> None:
+    def step(self, position: FloatArray, velocity: FloatArray) -> None:
         assert np.isfinite(position).all()
         assert np.isfinite(velocity).all()
         moved = (position - self.position) / DT

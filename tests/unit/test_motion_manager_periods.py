@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from bifrost import Message, Received
 from tests.conftest import ROBOTS, examples
+from valor.common.arrays import FloatArray
 from valor.common.messages import (
     REFLEX,
     BehaviorRequest,
@@ -22,7 +23,7 @@ from valor.common.messages import (
     VelocityCommand,
 )
 from valor.common.model import controller_model
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
@@ -35,7 +36,7 @@ WEIGHT = float(MODEL.mj.body_subtreemass[0]) * 9.81
 LIMIT = ROBOT.effort_limit
 
 
-def tilted(angle: float) -> FloatVector:
+def tilted(angle: float) -> FloatArray:
     """Attitude of a pelvis that has turned forwards [rad]."""
     return np.array([np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0])
 
@@ -103,7 +104,7 @@ class Robot:
         assert reply.accepted or reply.reason
         return "" if reply.accepted else reply.reason
 
-    def torque(self) -> FloatVector:
+    def torque(self) -> FloatArray:
         """What each joint's motor gives now, the joints standing where they stand."""
         motor = self.motor
         assert motor is not None

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from bifrost import Received
 from tests.conftest import ROBOTS, examples
 from tests.unit.test_motion_manager_limiter import Watch
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointSetpoints
 from valor.common.model import controller_model
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import Attention, Behavior, Manipulation
@@ -198,7 +199,7 @@ def test_arms_hold_when_set_points_fall_silent(manipulating: Bench) -> None:
     assert np.array_equal(manipulating.reference.position, held)
 
 
-def displaced() -> tuple[Bench, FloatVector]:
+def displaced() -> tuple[Bench, FloatArray]:
     bench = Bench(Behavior.STAND_MANIPULATE)
     places = ROBOT.group_indices("right_arm")
     for _ in range(300):

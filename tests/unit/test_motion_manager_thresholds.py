@@ -14,8 +14,8 @@ from bifrost import Received
 from tests.conftest import examples
 from tests.unit.test_motion_manager_bypass import goal, lead, standing
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
+from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
-from valor.common.robot import FloatVector
 from valor.motion_manager.hand_contact import HandContacts
 from valor.motion_manager.handlers.hand_goal import FARTHEST, NORM
 from valor.motion_manager.handlers.joint_setpoints import STALE
@@ -152,7 +152,7 @@ def manipulating() -> Robot:
     return standing()
 
 
-def beside(length: float) -> FloatVector:
+def beside(length: float) -> FloatArray:
     """A position so far along y."""
     return np.array((0.0, length, 0.0))
 

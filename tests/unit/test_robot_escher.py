@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import yaml
 
 from tests.conftest import ROBOTS
 from tests.unit.test_robots import ALL, configuration, forward
 from tests.unit.test_robots import FULL as FULL_MODELS
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.model import controller_model, full_model
 from valor.common.robot import RobotDescription
@@ -131,7 +131,7 @@ def test_joints_turn_as_the_public_models_do() -> None:
 def test_a_hand_closes_towards_its_palm(side: Literal["left", "right"]) -> None:
     s = side[0]
 
-    def fingers(preset: str) -> dict[str, npt.NDArray[np.float64]]:
+    def fingers(preset: str) -> dict[str, FloatArray]:
         """Where the fingers are in the hand's frame, from the gripper site."""
         data = forward(FULL, configuration(FULL, **ROBOT.tables.hand_presets[preset][side]))
         hand = data.body(f"{s}_hand")

@@ -6,16 +6,15 @@ import math
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
+from valor.common.arrays import FloatArray
 from valor.common.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
 from valor.common.robot import RobotDescription
 
-Vector = npt.NDArray[np.float64]
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}
 FULL = {name: full_model(robot, "collision") for name, robot in ALL.items()}
 CONTROLLER = {name: controller_model(robot) for name, robot in ALL.items()}
@@ -30,15 +29,15 @@ every_robot = pytest.mark.parametrize("robot", ALL.values(), ids=ALL.keys())
 LATERAL = ("_yaw", "_roll")
 
 
-def configuration(model: Model, **joints: float) -> Vector:
+def configuration(model: Model, **joints: float) -> FloatArray:
     """The zero pose with some joints elsewhere."""
-    qpos: Vector = model.mj.qpos0.copy()
+    qpos: FloatArray = model.mj.qpos0.copy()
     for name, angle in joints.items():
         qpos[model.mj.joint(name).qposadr[0]] = angle
     return qpos
 
 
-def forward(model: Model, qpos: Vector) -> mujoco.MjData:
+def forward(model: Model, qpos: FloatArray) -> mujoco.MjData:
     """Everything that MuJoCo computes at a configuration."""
     data = mujoco.MjData(model.mj)
     data.qpos[:] = qpos
@@ -52,7 +51,7 @@ def touching(model: Model, data: mujoco.MjData) -> set[tuple[str, ...]]:
     return {tuple(sorted(mj.body(mj.geom_bodyid[geom]).name for geom in contact.geom)) for contact in data.contact}
 
 
-def with_preset(model: Model, name: str, *sides: str) -> Vector:
+def with_preset(model: Model, name: str, *sides: str) -> FloatArray:
     """The nominal posture with one or both arms at a preset."""
     qpos = model.nominal_qpos()
     for side in sides:

@@ -9,13 +9,14 @@ import can
 import numpy as np
 import pytest
 
+from valor.common.arrays import FloatArray
 from valor.common.devices import can_frames
 from valor.common.devices.can_frames import Status
 from valor.common.devices.end_to_end import protect
 from valor.common.devices.table import SeaCanFd
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
 
@@ -37,7 +38,7 @@ class Bench:
         self.far = can.Bus(interface="virtual", channel=name)
         self.clock = 0
 
-    def exchange(self, encoders: FloatVector, status: int = ON, but: frozenset[int] = frozenset()) -> JointMeasurement:
+    def exchange(self, encoders: FloatArray, status: int = ON, but: frozenset[int] = frozenset()) -> JointMeasurement:
         """One SYNC, answered by all but some; returns what the driver hands over."""
         self.driver._sync()
         counter = None

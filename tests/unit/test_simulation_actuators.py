@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.conftest import examples
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import ActuatorProfile, Gear, RobotTables
@@ -24,11 +25,10 @@ ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "
 N = len(ROBOT.joints)
 STEP = 0.001
 IDEAL = ActuatorProfile()
-Vector = npt.NDArray[np.float64]
 REST = np.zeros(N)
 
 
-def motor(mode: JointMode | npt.NDArray[np.uint8], sequence: int = 1, **fields: float | Vector) -> Motor:
+def motor(mode: JointMode | npt.NDArray[np.uint8], sequence: int = 1, **fields: float | FloatArray) -> Motor:
     """A Motor; scalars stand for all joints, fields not named are 0."""
     names = ("position", "velocity", "effort", "stiffness", "damping")
     vectors = {name: np.broadcast_to(np.asarray(fields.get(name, 0.0), float), N).copy() for name in names}
@@ -36,7 +36,7 @@ def motor(mode: JointMode | npt.NDArray[np.uint8], sequence: int = 1, **fields: 
     return Motor(time=0, sequence=sequence, proprioceptor_sequence=1, mode=modes, behavior="stand", writer=1, **vectors)
 
 
-def effort(command: Motor, position: Vector, velocity: Vector, profile: ActuatorProfile = IDEAL) -> Vector:
+def effort(command: Motor, position: FloatArray, velocity: FloatArray, profile: ActuatorProfile = IDEAL) -> FloatArray:
     """What acts in the first step after a command."""
     actuators = Actuators(ROBOT, profile, STEP)
     actuators.obey(command)
@@ -95,13 +95,13 @@ FINITE = st.floats(-1e6, 1e6)
 @examples(60)
 def test_effort_is_always_within_limits(
     modes: npt.NDArray[np.uint8],
-    position: Vector,
-    velocity: Vector,
-    feed_forward: Vector,
-    stiffness: Vector,
-    damping: Vector,
-    q: Vector,
-    v: Vector,
+    position: FloatArray,
+    velocity: FloatArray,
+    feed_forward: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    q: FloatArray,
+    v: FloatArray,
     profile: ActuatorProfile,
 ) -> None:
     actuators = Actuators(ROBOT, profile, STEP)

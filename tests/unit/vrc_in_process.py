@@ -17,9 +17,10 @@ from bifrost import Received
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
 from valor.common import topics
+from valor.common.arrays import FloatArray
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
 from valor.common.model import controller_model
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
 from valor.motion_manager.hand_goals import HandGoals
@@ -159,7 +160,7 @@ class Commander:
 class MotionSystem:
     """The Motion Manager without its Whole-Body Controller: joints are where its references are, less some sag."""
 
-    def __init__(self, time: int, position: FloatVector) -> None:
+    def __init__(self, time: int, position: FloatArray) -> None:
         self.fsm = BehaviorFsm()
         self.reference = JointReference(ROBOT)
         table, height = ROBOT.tables.pelvis, ROBOT.tables.nominal_base_height
@@ -180,7 +181,7 @@ class MotionSystem:
         self.take_up(position)
         self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
 
-    def take_up(self, position: FloatVector) -> None:
+    def take_up(self, position: FloatArray) -> None:
         """Begin with the joints where they are."""
         self.reference.take_up(np.ones(N, dtype=bool), position)
 
@@ -194,7 +195,7 @@ class MotionSystem:
             self.fsm.go(behavior, reason)
         return possible
 
-    def period(self, time: int, sequence: int, position: FloatVector, network: Network) -> MotionState:
+    def period(self, time: int, sequence: int, position: FloatArray, network: Network) -> MotionState:
         """Hear, move, report."""
         now = time * 1e-9
         if received := network.topic(topics.JOINT_SETPOINTS.name).latest():

@@ -13,8 +13,9 @@ import numpy as np
 
 from bifrost import Received
 from tests.unit.robot_in_process import RobotInProcess
+from valor.common.arrays import FloatArray
 from valor.common.messages import VelocityCommand
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.reflex import BalanceReflex
 
@@ -83,7 +84,7 @@ class WalkingRobot(RobotInProcess):
             way = float(np.linalg.norm((self.plant.data.qpos[:3] - start)[:2]))
             return End(self._lies(start), way, reflex.time, reflex.peak, reflex.outcome)
 
-    def _pass(self, periods: int, start: FloatVector) -> None:
+    def _pass(self, periods: int, start: FloatArray) -> None:
         """So many periods with whatever the motors have, or until it lies, or has come to rest."""
         still = 0
         for _ in range(periods):
@@ -93,7 +94,7 @@ class WalkingRobot(RobotInProcess):
             self._sequence += 1
             self.plant.step(self._substeps)
 
-    def _lies(self, start: FloatVector) -> bool:
+    def _lies(self, start: FloatArray) -> bool:
         return bool(self.plant.data.qpos[2] < start[2] - FALLEN)
 
     @contextmanager

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from valor.analysis.errors import BagError
 from valor.analysis.ros_types import Types
 from valor.analysis.stored import StoredBag, StoredMessage
+from valor.common.arrays import FloatArray
 
-Array = npt.NDArray[np.float64]
 _NANO = 1e-9
 _log = logging.getLogger(__name__)
 
@@ -35,20 +35,22 @@ class Series:
         sent: (n,) when they were published, wall clock [s].
     """
 
-    def __init__(self, topic: str, type_name: str, messages: Sequence[Any], received: Array, sent: Array) -> None:
+    def __init__(
+        self, topic: str, type_name: str, messages: Sequence[Any], received: FloatArray, sent: FloatArray
+    ) -> None:
         self.topic = topic
         self.type = type_name
         self.messages = messages
         self.received = received
         self.sent = sent
-        self._columns: dict[str, Array] = {}
-        self._by_joint: dict[str, dict[str, tuple[npt.NDArray[np.intp], Array]]] = {}
+        self._columns: dict[str, FloatArray] = {}
+        self._by_joint: dict[str, dict[str, tuple[npt.NDArray[np.intp], FloatArray]]] = {}
 
     def __len__(self) -> int:
         return len(self.messages)
 
     @cached_property
-    def time(self) -> Array:
+    def time(self) -> FloatArray:
         """(n,) robot time [s]: of the field ``time``, else the header's stamp, else when it was received."""
         if hasattr(self.messages[0], "time"):
             return _NANO * self["time"]
@@ -56,7 +58,7 @@ class Series:
             return self["header.stamp.sec"] + _NANO * self["header.stamp.nanosec"]
         return self.received
 
-    def __getitem__(self, field: str) -> Array:
+    def __getitem__(self, field: str) -> FloatArray:
         """A field as (n,), or as (n, k) where each message holds k numbers. ``a.b`` reaches into sub-messages.
 
         Raises:
@@ -75,7 +77,9 @@ class Series:
         """A field of text, as (n,)."""
         return np.array([_get(message, field) for message in self.messages])
 
-    def by_joint(self, field: str = "position", times: Array | None = None) -> dict[str, tuple[Array, Array]]:
+    def by_joint(
+        self, field: str = "position", times: FloatArray | None = None
+    ) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Of messages that carry joint names with their values: times [s] and values, by joint.
 
         Args:

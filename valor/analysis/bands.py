@@ -9,8 +9,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from valor.analysis.bag import Array
 from valor.analysis.recording import Recording
+from valor.common.arrays import FloatArray
 from valor.common.topics import MOTION_STATE
 
 HEIGHT = 0.05  # of the axes
@@ -47,7 +47,7 @@ def bands_of(axes: Axes, recording: Recording, start: float, end: float, label: 
         bands(axes, states.time[shown] - start, states.strings("behavior")[shown], label)
 
 
-def bands(axes: Axes, time: Array, behavior: npt.NDArray[np.str_], label: bool = True) -> None:
+def bands(axes: Axes, time: FloatArray, behavior: npt.NDArray[np.str_], label: bool = True) -> None:
     """Draw them along the bottom of some axes.
 
     Args:

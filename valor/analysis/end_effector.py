@@ -17,10 +17,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from valor.analysis.bag import Array
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest
 from valor.analysis.timeline import Motion, Timeline
+from valor.common.arrays import FloatArray
 from valor.common.model import full_model
 from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, PROPRIOCEPTOR
@@ -39,8 +39,8 @@ class Poses:
         rotation: (m, 3, 3).
     """
 
-    position: Array
-    rotation: Array
+    position: FloatArray
+    rotation: FloatArray
 
     def inside(self, outer: Poses) -> Poses:
         """These poses, of a frame in a second one, in the frame that the second one's poses are of."""
@@ -62,8 +62,8 @@ class PoseError:
         orientation: (m, 3) roll, pitch, yaw of the turn between them [rad].
     """
 
-    position: Array
-    orientation: Array
+    position: FloatArray
+    orientation: FloatArray
 
     @classmethod
     def of(cls, actual: Poses, wanted: Poses) -> PoseError:
@@ -72,9 +72,9 @@ class PoseError:
         return cls(actual.position - wanted.position, Rotation.from_matrix(turn).as_euler("xyz"))
 
     @property
-    def distance(self) -> Array:
+    def distance(self) -> FloatArray:
         """(m,) between the positions [m]."""
-        made: Array = np.linalg.norm(self.position, axis=1)
+        made: FloatArray = np.linalg.norm(self.position, axis=1)
         return made
 
 
@@ -87,16 +87,18 @@ class Hand:
         self._site = self._model.site(getattr(robot.tables.hands, side).site)
         self._chest = self._model.body(robot.tables.chest)
 
-    def in_chest(self, joints: Array) -> Poses:
+    def in_chest(self, joints: FloatArray) -> Poses:
         """The hand in the chest's frame, for joint positions (m, n) [rad]."""
         return self._poses(joints, None, None)[1]
 
-    def in_odom(self, joints: Array, position: Array, orientation: Array) -> tuple[Poses, Poses]:
+    def in_odom(self, joints: FloatArray, position: FloatArray, orientation: FloatArray) -> tuple[Poses, Poses]:
         """The chest and the hand, for joints (m, n) [rad] and the pelvis' position (m, 3) [m], orientation (m, 4)."""
         chest, hand = self._poses(joints, position, orientation)
         return chest, hand.inside(chest)
 
-    def _poses(self, joints: Array, position: Array | None, orientation: Array | None) -> tuple[Poses, Poses]:
+    def _poses(
+        self, joints: FloatArray, position: FloatArray | None, orientation: FloatArray | None
+    ) -> tuple[Poses, Poses]:
         """The chest in odom, and the hand in the chest."""
         model, data = self._model, self._data
         m = len(joints)
@@ -129,7 +131,7 @@ class HandTrack:
         motions: those that moved this arm.
     """
 
-    time: Array
+    time: FloatArray
     behavior: np.typing.NDArray[np.str_]
     chest: Poses
     reference: Poses

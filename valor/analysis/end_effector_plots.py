@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from valor.analysis import style
-from valor.analysis.bag import Array
 from valor.analysis.bands import bands
 from valor.analysis.end_effector import HandTrack, PoseError
 from valor.analysis.recording import Recording
 from valor.analysis.scene import Scene
+from valor.common.arrays import FloatArray
 
 _AXES = ("x", "y", "z")
 _TURNS = ("roll", "pitch", "yaw")
@@ -137,7 +137,7 @@ def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
     return figure, (figure.add_subplot(grid[0]), figure.add_subplot(grid[1]))
 
 
-def _distances(axes: Axes, at: Array, track: HandTrack) -> None:
+def _distances(axes: Axes, at: FloatArray, track: HandTrack) -> None:
     style.quiet(axes, "distance", "robot time [s]", "[cm]")
     for error, color, width, label in (
         (track.total_error, style.GREY, 1.3, "from the goal, all causes"),
@@ -146,14 +146,14 @@ def _distances(axes: Axes, at: Array, track: HandTrack) -> None:
         axes.plot(at, 100.0 * error.distance, color=color, linewidth=width, label=label)
 
 
-def _finish(axes: Axes, at: Array, values: Array) -> None:
+def _finish(axes: Axes, at: FloatArray, values: FloatArray) -> None:
     axes.set_xlim(at[0], at[-1])
     low, high = float(values.min()), float(values.max())
     room = max(high - low, 1e-3)
     axes.set_ylim(low - 0.18 * room, high + 0.12 * room)  # below: the bands
 
 
-def _name(axes: Axes, at: Array, track: HandTrack, columns: int = 3, top: float = 1.24) -> None:
+def _name(axes: Axes, at: FloatArray, track: HandTrack, columns: int = 3, top: float = 1.24) -> None:
     """The behaviors below, a thin line where each motion begins, and the legend above."""
     bands(axes, at, track.behavior)
     for motion in track.motions:

@@ -13,13 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from valor.analysis import style
-from valor.analysis.bag import Array
 from valor.analysis.bands import bands_of, keys
 from valor.analysis.errors import BagError, SignalError
 from valor.analysis.lag import Lag, lag
 from valor.analysis.recording import Recording
 from valor.analysis.signals import Signal
 from valor.analysis.timeline import Timeline
+from valor.common.arrays import FloatArray
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 
 GOAL, VRC, MOTOR_COLOR, MEASURED = "#0072b2", "#c0392b", "#e69f00", "#7d5ba6"
@@ -40,7 +40,7 @@ class JointSignals:
     """
 
     joint: str
-    reference: tuple[Array, Array]
+    reference: tuple[FloatArray, FloatArray]
     setpoint: dict[Quantity, Signal]
     command: dict[Quantity, Signal]
     measured: dict[Quantity, Signal]

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal as scipy_signal
 
-from valor.analysis.bag import Array
 from valor.analysis.errors import DissimilarSignalsError, SignalError
 from valor.analysis.signals import Signal, common_rate
+from valor.common.arrays import FloatArray
 
 SIMILAR = 0.9  # the least correlation of two signals of which one came from the other
 DISTINCT = 0.02  # by how much the peak must stand above every other one, where the signals repeat themselves
@@ -114,7 +114,7 @@ def lags(first: Signal, second: Signal, window: float, longest: float = 1.0, sim
     return found
 
 
-def _correlation(x: Array, y: Array, reach: int) -> Array:
+def _correlation(x: FloatArray, y: FloatArray, reach: int) -> FloatArray:
     """(2·reach + 1,) Pearson's correlation of x(t) with y(t + k) for k from −reach to reach."""
     n = len(x)
     x, y = x - x.mean(), y - y.mean()
@@ -130,17 +130,19 @@ def _correlation(x: Array, y: Array, reach: int) -> Array:
     sy, syy = (total[b + shifts] - total[a + shifts] for total in sums[2:])
     variance = np.maximum(sxx - sx * sx / count, 0.0) * np.maximum(syy - sy * sy / count, 0.0)
     tiny = _FLAT * float(x @ x) * float(y @ y)
-    made: Array = np.where(variance > tiny, (products - sx * sy / count) / np.sqrt(np.maximum(variance, tiny)), 0.0)
+    made: FloatArray = np.where(
+        variance > tiny, (products - sx * sy / count) / np.sqrt(np.maximum(variance, tiny)), 0.0
+    )
     return made
 
 
-def _valley(correlation: Array, peak: int, other: int) -> bool:
+def _valley(correlation: FloatArray, peak: int, other: int) -> bool:
     """Whether the correlation falls between two peaks: noise on one peak does not make it two."""
     low = float(correlation[min(peak, other) : max(peak, other) + 1].min())
     return low < float(correlation[other]) - DISTINCT
 
 
-def _vertex(three: Array) -> float:
+def _vertex(three: FloatArray) -> float:
     """Where the parabola through three equidistant values has its vertex, from the middle one, −0.5 to 0.5."""
     before, at, after = three
     curvature = before - 2.0 * at + after

@@ -9,8 +9,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.bag import Array
 from valor.analysis.errors import SignalError
+from valor.common.arrays import FloatArray
 from valor.common.trace import IDLE, Stage, Trace
 
 Stages = npt.NDArray[np.uint8]
@@ -35,13 +35,13 @@ class Lane:
 
     service: str
     stages: Stages
-    start: Array
-    end: Array
-    cpu: Array
-    sequence: Array
-    collected: Array
-    looked: Array
-    waited: Array
+    start: FloatArray
+    end: FloatArray
+    cpu: FloatArray
+    sequence: FloatArray
+    collected: FloatArray
+    looked: FloatArray
+    waited: FloatArray
     cost: float
 
     @classmethod
@@ -79,15 +79,15 @@ class Lane:
         """(n,) whether a stage is work, not waiting for something."""
         return ~np.isin(self.stages, list(IDLE))
 
-    def work_within(self, start: Array, end: Array) -> Array:
+    def work_within(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """(k,) how long the loop was at work in each of k spans that follow each other [s]."""
         return _overlap(self.start[self.at_work], self.end[self.at_work], start, end)
 
-    def collected_within(self, start: Array, end: Array) -> Array:
+    def collected_within(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """(k,) how long the garbage collector ran in each of k spans [s]."""
         return _overlap(self.collected[:, 0], self.collected[:, 1], start, end)
 
-    def waited_within(self, start: Array, end: Array) -> Array:
+    def waited_within(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """(k,) how long its threads waited for a core between the looks around each of k spans [s]."""
         if self.looked.size < 2:
             return np.zeros(len(start))
@@ -96,10 +96,10 @@ class Lane:
         return np.asarray(self.waited[after] - self.waited[before])
 
 
-def _overlap(starts: Array, ends: Array, first: Array, last: Array) -> Array:
+def _overlap(starts: FloatArray, ends: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
     """(k,) how much of spans that follow each other lies in each of k windows."""
 
-    def until(moments: Array) -> Array:
+    def until(moments: FloatArray) -> FloatArray:
         """How much of the spans lies before each moment."""
         if not starts.size:
             return np.zeros(len(moments))

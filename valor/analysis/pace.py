@@ -8,8 +8,9 @@ from typing import Self
 
 import numpy as np
 
-from valor.analysis.bag import Array, Bag
+from valor.analysis.bag import Bag
 from valor.analysis.errors import SignalError
+from valor.common.arrays import FloatArray
 from valor.common.topics import PROPRIOCEPTOR
 
 SECOND = 1.0  # the window of ``worst_second`` [s]
@@ -24,8 +25,8 @@ class Pace:
         robot: (n,) the robot time of each [s].
     """
 
-    wall: Array
-    robot: Array
+    wall: FloatArray
+    robot: FloatArray
 
     @classmethod
     def of(cls, bag: Bag | Path, start: float, end: float) -> Self:
@@ -42,7 +43,7 @@ class Pace:
         return cls(series.sent[chosen], series.time[chosen])
 
     @property
-    def periods(self) -> Array:
+    def periods(self) -> FloatArray:
         """(n - 1,) from each to the next on the wall [s]."""
         return np.diff(self.wall)
 

@@ -23,11 +23,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.bag import Array, Bag, Series
+from valor.analysis.bag import Bag, Series
 from valor.analysis.errors import BagError, SignalError
 from valor.analysis.lag import lag
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.analysis.signals import Signal
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 
@@ -59,12 +60,12 @@ class Segment:
 
     name: str
     where: str
-    by_stamps: Array = field(default_factory=lambda: np.empty(0))
-    by_correlation: Array = field(default_factory=lambda: np.empty(0))
-    at: Array = field(default_factory=lambda: np.empty(0))
+    by_stamps: FloatArray = field(default_factory=lambda: np.empty(0))
+    by_correlation: FloatArray = field(default_factory=lambda: np.empty(0))
+    at: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
-    def samples(self) -> Array:
+    def samples(self) -> FloatArray:
         """Those that the figures show: by stamps where there are any."""
         return self.by_stamps if len(self.by_stamps) else self.by_correlation
 
@@ -118,7 +119,7 @@ class Latencies:
     """
 
     segments: tuple[Segment, ...]
-    time: Array
+    time: FloatArray
     behavior: npt.NDArray[np.str_]
 
     def __getitem__(self, name: str) -> Segment:
@@ -188,14 +189,14 @@ class _Signals:
             self._states.strings("behavior"),
         )
 
-    def _when_sensed(self, robot_time: Array) -> tuple[Indices, Array]:
+    def _when_sensed(self, robot_time: FloatArray) -> tuple[Indices, FloatArray]:
         """Of messages that name a robot time [ns]: which have a Proprioceptor, and when that was sent [s]."""
         known = self._senses["time"]
         place = np.clip(np.searchsorted(known, robot_time), 0, len(known) - 1)
         rows = np.flatnonzero(known[place] == robot_time)
         return rows, self._senses.sent[place[rows]]
 
-    def _since_sensed(self, series: Series, robot_time: Array) -> tuple[Array, Array]:
+    def _since_sensed(self, series: Series, robot_time: FloatArray) -> tuple[FloatArray, FloatArray]:
         """From a Proprioceptor sent to the message that was made of it sent, and when the first was [s]."""
         rows, sensed = self._when_sensed(robot_time)
         return series.sent[rows] - sensed, sensed
@@ -208,7 +209,7 @@ class _Signals:
             end = np.interp(asked, sent, robot_time) + last.sec + 1e-9 * last.nanosec
             yield asked, float(np.interp(end, robot_time, sent)), message.joint_names
 
-    def _response(self) -> tuple[Array, Array]:
+    def _response(self) -> tuple[FloatArray, FloatArray]:
         """From a reference sent to control values that move, and when the reference was sent [s]."""
         speed = np.abs(self._vec["reference.velocities"][self._vec_rows]).max(axis=1)
         found, asked = [], []
@@ -221,7 +222,7 @@ class _Signals:
                 asked.append(sent)
         return np.array(found), np.array(asked)
 
-    def _obeyed(self) -> tuple[Array, Array]:
+    def _obeyed(self) -> tuple[FloatArray, FloatArray]:
         """From a Motor sent to the first Proprioceptor that says that it is obeyed, and when the first was [s]."""
         obeyed = self._senses["motor_sequence"]
         place = np.searchsorted(obeyed, self._motor["sequence"])
@@ -230,7 +231,7 @@ class _Signals:
         told = self._motor.sent[known]
         return self._senses.sent[place[known]] - told, told
 
-    def _by_correlation(self) -> tuple[list[Array], list[Array]]:
+    def _by_correlation(self) -> tuple[list[FloatArray], list[FloatArray]]:
         """Lags: VEC to set-points, VEC to Motor, Motor in force to measured, measured to joint states; and when [s]."""
         positions = self._vec["reference.positions"][self._vec_rows]
         names = list(self._vec.messages[0].joint_names)
@@ -261,7 +262,7 @@ class _Signals:
         columns = [np.array(each).reshape(-1, 2).T for each in found]
         return [lags for lags, _ in columns], [at for _, at in columns]
 
-    def _mode_changes(self) -> tuple[Array, Array, Array, Array]:
+    def _mode_changes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """From a command sent to the behavior changed, from that to the report sent; when each began [s]."""
         commands, reports = self._bag[MODE_COMMAND], self._bag[MODE_REPORT]
         behavior, at = self._states.strings("behavior"), self._states.sent
@@ -281,13 +282,13 @@ class _Signals:
         return np.array(to_change), np.array(to_report), np.array(asked), np.array(seen)
 
 
-def _header(series: Series) -> Array:
+def _header(series: Series) -> FloatArray:
     """(n,) robot time of messages by their headers [ns]."""
-    made: Array = 1e9 * series["header.stamp.sec"] + series["header.stamp.nanosec"]
+    made: FloatArray = 1e9 * series["header.stamp.sec"] + series["header.stamp.nanosec"]
     return made
 
 
-def _part(time: Array, value: Array, first: float, last: float) -> Signal | None:
+def _part(time: FloatArray, value: FloatArray, first: float, last: float) -> Signal | None:
     """The part of a signal between two moments [s]; None: there is too little of it."""
     try:
         return Signal.of(time, value).between(first, last)

@@ -12,9 +12,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.bag import Array
 from valor.analysis.errors import SignalError
 from valor.analysis.lanes import Lane
+from valor.common.arrays import FloatArray
 from valor.common.trace import Stage
 
 COMMS, MOTION = "comms_manager", "motion_manager"
@@ -56,11 +56,11 @@ class Segment:
 
     service: str
     name: str
-    start: Array
-    end: Array
-    duration: Array
-    without_core: Array
-    collecting: Array
+    start: FloatArray
+    end: FloatArray
+    duration: FloatArray
+    without_core: FloatArray
+    collecting: FloatArray
 
     @property
     def title(self) -> str:
@@ -100,8 +100,8 @@ class Periods:
     """
 
     lanes: dict[str, Lane]
-    start: Array
-    length: Array
+    start: FloatArray
+    length: FloatArray
     nominal: float
     segments: list[Segment]
 
@@ -176,7 +176,7 @@ class Periods:
                 blames.append(Blame(segment.title, cause, total, counted, self._beside(segment, late, seconds)))
         return sorted(blames, key=lambda blame: -blame.delay)
 
-    def _beside(self, segment: Segment, late: npt.NDArray[np.intp], weight: Array) -> dict[str, float]:
+    def _beside(self, segment: Segment, late: npt.NDArray[np.intp], weight: FloatArray) -> dict[str, float]:
         """Which other services were at work meanwhile: share of the time, weighted."""
         start, end = segment.start[late], segment.end[late]
         shares = {}
@@ -224,7 +224,9 @@ def _answer(lanes: dict[str, Lane], comms: Lane, ends: npt.NDArray[np.intp]) -> 
     woken, back = motion.start[row - len(_TICK) + 1], comms.end[first]
     answered = waited & (motion.sequence[row] == sequence) & (motion.end[row] <= back) & (woken >= start)
 
-    def span(name: str, service: str, begin: Array, end: Array, without_core: Array | None = None) -> Segment:
+    def span(
+        name: str, service: str, begin: FloatArray, end: FloatArray, without_core: FloatArray | None = None
+    ) -> Segment:
         begin, end = np.where(answered, begin, start), np.where(answered, end, start)
         idle = np.zeros(len(start)) if without_core is None else np.where(answered, without_core, 0.0)
         collecting = motion.collected_within(begin, end) if service else np.zeros(len(start))
@@ -257,7 +259,7 @@ def _without_answered_wait(segments: list[Segment]) -> list[Segment]:
     return [segment for segment in kept if segment.duration.any()]
 
 
-def _shortened(wait: Segment, told: Array) -> Segment:
+def _shortened(wait: Segment, told: FloatArray) -> Segment:
     """The rest of a wait, at its end."""
     rest = np.maximum(0.0, wait.duration - told)
     return Segment(wait.service, wait.name, wait.end - rest, wait.end, rest, wait.without_core, wait.collecting)

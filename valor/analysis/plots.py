@@ -12,10 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from valor.analysis import style
-from valor.analysis.bag import Array, Bag
+from valor.analysis.bag import Bag
 from valor.analysis.bands import bands_of
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 
@@ -30,9 +31,9 @@ class _Error:
     """How far one joint was from its set-point."""
 
     joint: str
-    time: Array  # (m,) from the window's start [s]
-    value: Array  # (m,) measured minus set-point [rad]
-    reference: Array  # (m,) the set-point [rad]
+    time: FloatArray  # (m,) from the window's start [s]
+    value: FloatArray  # (m,) measured minus set-point [rad]
+    reference: FloatArray  # (m,) the set-point [rad]
 
     @property
     def rms_at_rest(self) -> float:
@@ -187,7 +188,7 @@ def balance(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     return [style.save(figure, out / "balance.png")]
 
 
-def _window(recording: Recording, times: Array) -> tuple[float, float]:
+def _window(recording: Recording, times: FloatArray) -> tuple[float, float]:
     """What is shown: around the time in which the arms were free; everything, if they never were."""
     if not times.size:
         raise BagError(f"{recording.bag.path}: no messages on {recorded(PROPRIOCEPTOR)}")
@@ -203,7 +204,7 @@ def _widen(axes: Axes) -> None:
         axes.set_ylim(middle - 0.05, middle + 0.05)
 
 
-def _from_start(positions: Array) -> Array:
+def _from_start(positions: FloatArray) -> FloatArray:
     """Horizontal distance from the first of (m, 3) positions [cm]."""
-    distance: Array = 100.0 * np.linalg.norm(positions[:, :2] - positions[0, :2], axis=1)
+    distance: FloatArray = 100.0 * np.linalg.norm(positions[:, :2] - positions[0, :2], axis=1)
     return distance

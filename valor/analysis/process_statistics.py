@@ -16,9 +16,9 @@ import numpy.typing as npt
 import psutil
 
 from valor.analysis import style
-from valor.analysis.bag import Array
 from valor.analysis.bands import bands, make_room
 from valor.analysis.errors import SignalError
+from valor.common.arrays import FloatArray
 
 _MIB = 2.0**20
 
@@ -33,9 +33,9 @@ class Usage:
         memory: (n,) resident [MiB].
     """
 
-    time: Array
-    cpu: Array
-    memory: Array
+    time: FloatArray
+    cpu: FloatArray
+    memory: FloatArray
 
 
 class Sampler:
@@ -101,7 +101,7 @@ def write_csv(usage: Mapping[str, Usage], file: Path) -> Path:
     return file
 
 
-def plot(usage: Mapping[str, Usage], behavior: tuple[Array, npt.NDArray[np.str_]], file: Path) -> Path:
+def plot(usage: Mapping[str, Usage], behavior: tuple[FloatArray, npt.NDArray[np.str_]], file: Path) -> Path:
     """CPU and memory of every process over time, and what the robot did meanwhile.
 
     Args:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.bag import Array, Bag, Series
+from valor.analysis.bag import Bag, Series
 from valor.analysis.errors import BagError
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
 
@@ -24,9 +25,9 @@ class Posture:
 
     time: float  # robot time [s]
     behavior: str
-    pelvis_position: Array  # (3,) [m]
-    pelvis_orientation: Array  # (4,) (w, x, y, z)
-    joint_position: Array  # (n,) [rad]
+    pelvis_position: FloatArray  # (3,) [m]
+    pelvis_orientation: FloatArray  # (4,) (w, x, y, z)
+    joint_position: FloatArray  # (n,) [rad]
 
 
 class Recording:
@@ -54,7 +55,7 @@ class Recording:
         """Read several topics in one pass."""
         self.bag.load(*(recorded(topic) for topic in topics))
 
-    def joints(self, topic: Topic, field: str) -> Array:
+    def joints(self, topic: Topic, field: str) -> FloatArray:
         """(m, n) a vector over the joints.
 
         Raises:
@@ -69,7 +70,7 @@ class Recording:
             )
         return values
 
-    def behaviors(self, times: Array) -> npt.NDArray[np.str_]:
+    def behaviors(self, times: FloatArray) -> npt.NDArray[np.str_]:
         """The Motion System's behavior at some times [s]."""
         states = self.series(MOTION_STATE)
         return states.strings("behavior")[nearest(states.time, times)]
@@ -97,20 +98,20 @@ class Recording:
             joint_position=position,
         )
 
-    def setpoints(self) -> dict[str, tuple[Array, Array]]:
+    def setpoints(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Set-points of the ROS side by joint: times [s] and positions [rad]."""
         return self.series(JOINT_SETPOINTS).by_joint("position") if self.has(JOINT_SETPOINTS) else {}
 
-    def commands(self) -> tuple[Array, Array]:
+    def commands(self) -> tuple[FloatArray, FloatArray]:
         """Motor commands: times (m,) [s] and positions (m, n) [rad]."""
         return self.series(MOTOR).time, self.joints(MOTOR, "position")
 
-    def measured(self) -> tuple[Array, Array]:
+    def measured(self) -> tuple[FloatArray, FloatArray]:
         """Measured joints: times (m,) [s] and positions (m, n) [rad]."""
         return self.series(PROPRIOCEPTOR).time, self.joints(PROPRIOCEPTOR, "joint_position")
 
 
-def nearest(times: Array, wanted: Array) -> npt.NDArray[np.intp]:
+def nearest(times: FloatArray, wanted: FloatArray) -> npt.NDArray[np.intp]:
     """For each wanted time the index of the nearest of ``times``, which ascend."""
     right = np.clip(np.searchsorted(times, wanted), 1, max(1, len(times) - 1))
     left = right - 1

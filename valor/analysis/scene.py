@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from valor.analysis.offscreen import Image, Offscreen
 from valor.analysis.recording import Posture
 from valor.common import worlds
+from valor.common.arrays import FloatArray
 from valor.common.model import Model, robot_spec
 from valor.common.robot import RobotDescription
 
@@ -83,7 +83,7 @@ class Scene:
 
     def look_at(
         self,
-        point: npt.NDArray[np.float64],
+        point: FloatArray,
         azimuth: float = 148.0,
         elevation: float = -8.0,
         distance: float = 2.62,

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.bag import Array
 from valor.analysis.errors import SignalError
+from valor.common.arrays import FloatArray
 
 _FEWEST = 3  # samples of which one can speak of a rate
 
@@ -23,8 +23,8 @@ class Signal:
         value: (n,) finite.
     """
 
-    time: Array
-    value: Array
+    time: FloatArray
+    value: FloatArray
 
     @classmethod
     def of(cls, time: npt.ArrayLike, value: npt.ArrayLike) -> Self:
@@ -64,7 +64,7 @@ class Signal:
         near = (self.time >= first) & (self.time <= last)
         return Signal.of(self.time[near], self.value[near])
 
-    def resampled(self, moments: Array) -> Array:
+    def resampled(self, moments: FloatArray) -> FloatArray:
         """(m,) its value at other moments within its duration, on straight lines between its samples."""
         return np.interp(moments, self.time, self.value)
 
@@ -73,7 +73,7 @@ class Signal:
         return Signal(0.5 * (self.time[1:] + self.time[:-1]), np.diff(self.value) / np.diff(self.time))
 
 
-def common_rate(first: Signal, second: Signal) -> tuple[float, Array, Array]:
+def common_rate(first: Signal, second: Signal) -> tuple[float, FloatArray, FloatArray]:
     """Two signals at the same moments: those of their common time, at the higher of their mean sample rates.
 
     Returns:

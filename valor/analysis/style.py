@@ -5,18 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from valor.common.arrays import FloatArray
+
 INK, GREY, LIGHT = "#22272e", "#6b7480", "#dde1e6"
 REFERENCE, COMMAND, MEASURED = "#22272e", "#0072b2", "#d55e00"  # Okabe and Ito's colors
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#22272e", "#8c6d46")
-Array = npt.NDArray[np.float64]
 FONT = "DejaVu Sans"
 POINTS = 4000  # drawn of a curve
 
@@ -47,7 +46,7 @@ def line(x: tuple[float, float], y: tuple[float, float], color: str, width: floa
     return Line2D(x, y, color=color, linewidth=width)
 
 
-def curve(axes: Axes, x: Array, y: Array, color: str, width: float, **more: Any) -> None:
+def curve(axes: Axes, x: FloatArray, y: FloatArray, color: str, width: float, **more: Any) -> None:
     """A line through many points, of which hardly more are drawn than there are pixels."""
     step = max(1, len(x) // POINTS)
     axes.plot(x[::step], y[::step], color=color, linewidth=width, solid_capstyle="round", **more)

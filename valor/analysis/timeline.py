@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from valor.analysis import json_file
-from valor.analysis.bag import Array
 from valor.analysis.errors import BagError
+from valor.common.arrays import FloatArray
 
 SETTLED = 0.3  # at a motion's end, over which final errors are averaged [s]
 
@@ -46,7 +46,7 @@ class Timeline(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Write it; returns the file."""
         return json_file.save(self, file)
 
-    def reference(self, joint: str, times: Array) -> Array:
+    def reference(self, joint: str, times: FloatArray) -> FloatArray:
         """(m,) the last goal that a joint was given before each of some times [s]; NaN before its first."""
         made = np.full(len(times), np.nan)
         for motion in self.motions:

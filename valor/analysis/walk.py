@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.bag import Array
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
+from valor.common.arrays import FloatArray
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor
 from valor.common.model import full_model
 from valor.common.robot import RobotDescription
@@ -34,17 +34,17 @@ def knees(robot: RobotDescription) -> list[int]:
 class Track:
     """What the Motion Manager said, and what the devices measured when it said so; n control periods, ascending."""
 
-    time: Array  # (n,) robot time [s]
+    time: FloatArray  # (n,) robot time [s]
     sequence: npt.NDArray[np.int64]  # (n,) of the Proprioceptor that each answers
     walking: npt.NDArray[np.bool_]  # (n,) in a behavior that walks
     fallen: npt.NDArray[np.bool_]  # (n,)
-    pelvis: Array  # (n, 3) in odom [m]
-    speed: Array  # (n,) of the pelvis [m/s]
-    dcm_error: Array  # (n, 3) from its reference [m]
-    desired_force: Array  # (n, 2) vertical, left and right, as planned [N]
-    measured_force: Array  # (n, 2) the foot sensors' in the same period [N]
-    knee: Array  # (n, 2) [rad]
-    tick: Array  # (n,) [s]
+    pelvis: FloatArray  # (n, 3) in odom [m]
+    speed: FloatArray  # (n,) of the pelvis [m/s]
+    dcm_error: FloatArray  # (n, 3) from its reference [m]
+    desired_force: FloatArray  # (n, 2) vertical, left and right, as planned [N]
+    measured_force: FloatArray  # (n, 2) the foot sensors' in the same period [N]
+    knee: FloatArray  # (n, 2) [rad]
+    tick: FloatArray  # (n,) [s]
     qp_failures: npt.NDArray[np.int64]  # (n,) since start
     saturations: npt.NDArray[np.int64]  # (n,) since start
 
@@ -213,7 +213,7 @@ class Footprint:
 
     left: bool
     time: float  # in the middle of its stand [s]
-    position: Array  # (3,) of the sole in world [m]
+    position: FloatArray  # (3,) of the sole in world [m]
     heading: float  # [rad]
 
 

@@ -14,11 +14,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
 from valor.analysis import style
-from valor.analysis.bag import Array, Bag
+from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording, nearest
 from valor.analysis.scene import Scene
 from valor.analysis.walk import Figures, Footprint, Track, footprints
 from valor.common import worlds
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import Foot
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE
@@ -215,7 +216,7 @@ def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _dcm_close_up(axes: Axes, recording: Recording, times: Array, first: float) -> None:
+def _dcm_close_up(axes: Axes, recording: Recording, times: FloatArray, first: float) -> None:
     states = recording.series(MOTION_STATE)
     rows = np.unique(nearest(states.time, times))
     style.quiet(axes, "DCM, its reference and the CoM, across the way", "", "y [cm]")

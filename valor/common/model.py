@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.robot import RobotDescription
 
@@ -60,9 +61,9 @@ class Model:
         """A site's id."""
         return int(self.mj.site(name).id)
 
-    def nominal_qpos(self) -> npt.NDArray[np.float64]:
+    def nominal_qpos(self) -> FloatArray:
         """(nq,) the nominal posture, upright, the soles on the plane z = 0."""
-        qpos: npt.NDArray[np.float64] = self.mj.qpos0.copy()
+        qpos: FloatArray = self.mj.qpos0.copy()
         qpos[:7] = (0.0, 0.0, self.robot.tables.nominal_base_height, 1.0, 0.0, 0.0, 0.0)
         qpos[self.qpos] = self.robot.nominal_posture[self.joint_indices]
         return qpos

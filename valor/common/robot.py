@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
+from valor.common.arrays import FloatArray
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.robot_tables import RobotTables
 from valor.common.table import read
 
-FloatVector = npt.NDArray[np.float64]
 _PERIOD_TOLERANCE = 1e-9  # [s]
 
 
@@ -109,36 +109,36 @@ class RobotDescription:
         return np.array([self.index[name] for name in self.tables.groups[group]], dtype=np.intp)
 
     @cached_property
-    def lower(self) -> FloatVector:
+    def lower(self) -> FloatArray:
         """(n,) [rad]; -inf where a joint turns without end."""
         return np.array([-np.inf if j.lower is None else j.lower for j in self.tables.joints.values()])
 
     @cached_property
-    def upper(self) -> FloatVector:
+    def upper(self) -> FloatArray:
         """(n,) [rad]; inf where a joint turns without end."""
         return np.array([np.inf if j.upper is None else j.upper for j in self.tables.joints.values()])
 
     @cached_property
-    def velocity_limit(self) -> FloatVector:
+    def velocity_limit(self) -> FloatArray:
         """(n,) [rad/s]."""
         return np.array([j.velocity for j in self.tables.joints.values()])
 
     @cached_property
-    def effort_limit(self) -> FloatVector:
+    def effort_limit(self) -> FloatArray:
         """(n,) [N·m]."""
         return np.array([j.effort for j in self.tables.joints.values()])
 
     @cached_property
-    def servo_stiffness(self) -> FloatVector:
+    def servo_stiffness(self) -> FloatArray:
         """(n,) [N·m/rad]."""
         return np.array([j.servo.stiffness for j in self.tables.joints.values()])
 
     @cached_property
-    def servo_damping(self) -> FloatVector:
+    def servo_damping(self) -> FloatArray:
         """(n,) [N·m·s/rad]."""
         return np.array([j.servo.damping for j in self.tables.joints.values()])
 
     @cached_property
-    def nominal_posture(self) -> FloatVector:
+    def nominal_posture(self) -> FloatArray:
         """(n,) [rad]."""
         return np.array([self.tables.nominal_posture.get(name, 0.0) for name in self.joints])

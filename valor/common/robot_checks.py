@@ -11,11 +11,11 @@ from itertools import pairwise
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from valor.common import soles
+from valor.common.arrays import FloatArray
 from valor.common.model import Model, full_model
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.common.robot_tables import Foot
 from valor.common.table import TableError
 
@@ -49,21 +49,21 @@ class Stance:
         foot: Foot = getattr(self.robot.tables.feet, side)
         return foot
 
-    def site(self, name: str) -> tuple[FloatVector, FloatVector]:
+    def site(self, name: str) -> tuple[FloatArray, FloatArray]:
         """(3,) position in the world [m], and (3, 3) orientation, of a site."""
         site = self.data.site(name)
         return site.xpos, site.xmat.reshape(3, 3)
 
     @cached_property
-    def base(self) -> tuple[FloatVector, FloatVector]:
+    def base(self) -> tuple[FloatArray, FloatArray]:
         """(3,) position, and (3, 3) orientation, of the base."""
         body = self.data.body(self.robot.tables.base)
         return body.xpos, body.xmat.reshape(3, 3)
 
     @property
-    def com(self) -> FloatVector:
+    def com(self) -> FloatArray:
         """(3,) of the whole robot [m]."""
-        com: FloatVector = self.data.subtree_com[self.model.body(self.robot.tables.base)]
+        com: FloatArray = self.data.subtree_com[self.model.body(self.robot.tables.base)]
         return com
 
     @cached_property
@@ -184,7 +184,7 @@ def soles_are_as_large_as_the_feet(stance: Stance) -> Iterator[TableError]:
                 )
 
 
-def _footprint(stance: Stance, foot: Foot) -> FloatVector:
+def _footprint(stance: Stance, foot: Foot) -> FloatArray:
     """(k, 2) where the geoms of a foot touch the plane of its sole, in the sole's frame [m]."""
     mj, data = stance.model.mj, stance.data
     origin, rotation = stance.site(foot.sole)
@@ -277,7 +277,7 @@ def effort_shares(stance: Stance) -> dict[str, float]:
     The feet share the weight by the CoM's place between them.
     """
     model, robot = stance.model, stance.robot
-    torque: npt.NDArray[np.float64] = stance.data.qfrc_bias.copy()
+    torque: FloatArray = stance.data.qfrc_bias.copy()
     places = [stance.site(stance.foot(side).sole)[0] for side in SIDES]
     across = places[0] - places[1]
     share = float(np.clip((stance.com - places[1]) @ across / (across @ across), 0, 1))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
-
+from valor.common.arrays import FloatArray
 from valor.common.robot_tables import Foot
 
-Vector = Sequence[float] | npt.NDArray[np.float64]
+Vector = Sequence[float] | FloatArray
 Points = Sequence[tuple[float, float]]
 
 
-def outline(position: Vector, rotation: Sequence[Vector] | npt.NDArray[np.float64], foot: Foot) -> Points:
+def outline(position: Vector, rotation: Sequence[Vector] | FloatArray, foot: Foot) -> Points:
     """The corners of a sole from above, in order around it: four of (x, y) [m].
 
     Python floats, for a plan of fifty steps is checked between two periods of control.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from valor.common.robot import FloatVector
+from valor.common.arrays import FloatArray
 from valor.planning.key_poses import KeyPose
 from valor.planning.plan_table import ContactPoints
 from valor.planning.posture import SagittalPosture, ends, twin
@@ -25,7 +25,7 @@ class Check:
         collisions: pairs of bodies that are in one another by more than 5 mm.
     """
 
-    unbalanced: FloatVector
+    unbalanced: FloatArray
     torque: float
     depth: float
     collisions: tuple[tuple[str, str], ...]

@@ -18,9 +18,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.model import Model
-from valor.common.robot import FloatVector
 from valor.planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
 from valor.planning.posture import BASE, Expression, SagittalPosture, twin
 
@@ -47,9 +47,9 @@ class KeyPose:
     """
 
     plan: PlannedPose
-    coordinates: FloatVector
-    forces: Mapping[str, FloatVector]
-    torques: FloatVector
+    coordinates: FloatArray
+    forces: Mapping[str, FloatArray]
+    torques: FloatArray
 
 
 class _Kinematics:
@@ -121,7 +121,7 @@ def find(posture: SagittalPosture, plan: GetUpPlan) -> list[KeyPose]:
 
 
 def _solve(
-    posture: SagittalPosture, plan: GetUpPlan, kinematics: _Kinematics, pose: PlannedPose, goal: FloatVector
+    posture: SagittalPosture, plan: GetUpPlan, kinematics: _Kinematics, pose: PlannedPose, goal: FloatArray
 ) -> KeyPose:
     """The pose nearest to ``goal`` (m,) [rad] that stands."""
     problem = _Problem()
@@ -175,15 +175,13 @@ class _Problem:
         self._names: list[str] = []
         self.cost: Expression = 0.0
 
-    def variable(self, shape: int | tuple[int, int], initial: FloatVector | float) -> Expression:
+    def variable(self, shape: int | tuple[int, int], initial: FloatArray | float) -> Expression:
         """A new one, and where the search begins."""
         variable = self._opti.variable(*(shape if isinstance(shape, tuple) else (shape,)))
         self._opti.set_initial(variable, initial)
         return variable
 
-    def require(
-        self, name: str, expression: Expression, lower: FloatVector | float, upper: FloatVector | float
-    ) -> None:
+    def require(self, name: str, expression: Expression, lower: FloatArray | float, upper: FloatArray | float) -> None:
         """Each entry within its bounds."""
         rows = expression.numel()
         self._opti.subject_to(
@@ -191,7 +189,7 @@ class _Problem:
         )
         self._names += [name] * rows
 
-    def solve(self) -> Callable[[Expression], FloatVector]:
+    def solve(self) -> Callable[[Expression], FloatArray]:
         """What gives an expression's value at the solution.
 
         Raises:
@@ -211,7 +209,7 @@ class _Problem:
         return lambda expression: np.array(solution.value(expression))
 
 
-def _settled(kinematics: _Kinematics, pose: PlannedPose, goal: FloatVector) -> FloatVector:
+def _settled(kinematics: _Kinematics, pose: PlannedPose, goal: FloatArray) -> FloatArray:
     """The wished pose, its pelvis pitched as in the middle of what is allowed, let down on the floor."""
     z = np.concatenate([[0.0, 0.0, np.radians(np.mean(pose.pitch))], goal])
     z[1] = -float(np.min(np.array(kinematics.heights(z))))

@@ -15,9 +15,9 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.model import Model
-from valor.common.robot import FloatVector
 
 Expression = Any  # casadi.SX; the library is not typed
 BASE = 3  # coordinates of the pelvis: x [m], z [m], pitch [rad]
@@ -28,7 +28,7 @@ class Ends:
     """Balls that stand for a shape: the corners of a box, the two ends of a capsule."""
 
     body: int
-    points: FloatVector  # (k, 3) in the body's frame [m]
+    points: FloatArray  # (k, 3) in the body's frame [m]
     radius: float  # [m]
 
 
@@ -74,7 +74,7 @@ class SagittalPosture:
                 out[right] = angle * mirror_sign(self.model.mj, name, right)
         return out
 
-    def qpos(self, coordinates: FloatVector) -> FloatVector:
+    def qpos(self, coordinates: FloatArray) -> FloatArray:
         """(nq,) of the MuJoCo model for (3 + m,) coordinates."""
         qpos = np.zeros(self.model.mj.nq)
         x, z, pitch = coordinates[:BASE]
@@ -148,21 +148,21 @@ def mirror_sign(mj: mujoco.MjModel, left: str, right: str) -> float:
     return 1.0 if left == right or float(seen @ mj.joint(right).axis) > 0.0 else -1.0
 
 
-def _turn(axis: FloatVector, angle: Expression) -> Expression:
+def _turn(axis: FloatArray, angle: Expression) -> Expression:
     """(3, 3) by Rodrigues' formula."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return ca.SX.eye(3) + ca.sin(angle) * K + (1.0 - ca.cos(angle)) * (K @ K)
 
 
-def _matrix(quaternion: FloatVector) -> FloatVector:
+def _matrix(quaternion: FloatArray) -> FloatArray:
     """(3, 3) of w, x, y, z."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
 
 
-def ends(mj: mujoco.MjModel, geom: int) -> tuple[FloatVector, float]:
+def ends(mj: mujoco.MjModel, geom: int) -> tuple[FloatArray, float]:
     """Points (k, 3) in a geom's frame and a radius [m]: the hull of balls around them is the shape.
 
     Raises:

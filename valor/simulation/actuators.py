@@ -7,14 +7,12 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import ActuatorProfile
 from valor.simulation.gears import Gears
-
-FloatVector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,11 +20,11 @@ class JointCommand:
     """A Motor, its modes resolved: effort + stiffness·(position − q) + damping·(velocity − q̇), arrays of (n,)."""
 
     sequence: int  # of the Motor; that of the last one while the joints are held
-    position: FloatVector
-    velocity: FloatVector
-    effort: FloatVector
-    stiffness: FloatVector
-    damping: FloatVector
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
 
 
 class Actuators:
@@ -96,7 +94,7 @@ class Actuators:
             )
         )
 
-    def hold(self, position: FloatVector, effort: FloatVector | None = None) -> None:
+    def hold(self, position: FloatArray, effort: FloatArray | None = None) -> None:
         """Hold the joints at a (n,) position [rad] on their own servos, beside a (n,) effort [N·m] that goes on.
 
         Without the effort that carried it, a joint sags until its servo carries as much.
@@ -114,7 +112,7 @@ class Actuators:
             )
         )
 
-    def update(self, position: FloatVector, velocity: FloatVector) -> FloatVector:
+    def update(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """One physics step: the (n,) effort [N·m] at joint position [rad] and velocity [rad/s]."""
         while self._waiting and self._waiting[0][0] <= self._step:
             self._command = self._waiting.popleft()[1]

@@ -11,10 +11,9 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import ActuatorProfile, Gear
-
-FloatVector = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,11 +28,11 @@ class Gears:
         strength: share of the motor's torque that reaches the joint, 0 to 1.
     """
 
-    friction: FloatVector
+    friction: FloatArray
     sticks: npt.NDArray[np.bool_]
-    half_backlash: FloatVector
-    feed_forward: FloatVector
-    strength: FloatVector
+    half_backlash: FloatArray
+    feed_forward: FloatArray
+    strength: FloatArray
 
     @classmethod
     def of(cls, robot: RobotDescription, profile: ActuatorProfile) -> Self:

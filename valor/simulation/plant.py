@@ -6,17 +6,14 @@ import logging
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from valor.common import worlds
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.model import Model, Shapes, robot_spec
 from valor.common.robot import RobotDescription
 from valor.simulation.actuators import Actuators
 from valor.simulation.gears import Gears
-
-FloatVector = npt.NDArray[np.float64]
-
 
 _HARD = 0.9999  # impedance of friction that holds: such a joint creeps a thousandth as fast
 
@@ -80,9 +77,9 @@ class Plant:
         return float(self.model.mj.opt.timestep)
 
     @property
-    def joint_position(self) -> FloatVector:
+    def joint_position(self) -> FloatArray:
         """(n,) the true ones, a copy [rad]."""
-        position: FloatVector = self._qpos[self.model.qpos].copy()
+        position: FloatArray = self._qpos[self.model.qpos].copy()
         return position
 
     def step(self, count: int) -> None:
@@ -102,7 +99,7 @@ class Plant:
         if not np.isfinite(self._qvel.dot(self._qvel)):
             raise SimulationDivergedError(f"the simulation diverged at {data.time:.3f} s")
 
-    def push(self, impulse: FloatVector, duration: float) -> None:
+    def push(self, impulse: FloatArray, duration: float) -> None:
         """Push the chest at its CoM with a constant force, from the next step on.
 
         Args:

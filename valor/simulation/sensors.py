@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import SensorNoise
 from valor.simulation.plant import Plant
 
-FloatVector = npt.NDArray[np.float64]
 BATTERY_VOLTAGE = 48.0  # the simulated battery does not drain [V]
 
 
@@ -94,7 +93,7 @@ class Sensors:
             motor_behavior="",
         )
 
-    def _orientation(self, error: FloatVector) -> FloatVector:
+    def _orientation(self, error: FloatArray) -> FloatArray:
         """(4,) the IMU's attitude in world, turned by a small rotation vector (3,) in the IMU's frame [rad]."""
         orientation = np.empty(4)
         mujoco.mju_mulQuat(orientation, self._base_orientation, self._imu_in_base)
@@ -121,7 +120,7 @@ class WrenchSensors:
         self._com = data.subtree_com[plant.model.body(plant.model.robot.tables.base)]
         self._in_site = np.zeros((len(places), 6))
 
-    def measure(self) -> FloatVector:
+    def measure(self) -> FloatArray:
         """(m, 6) force [N] and torque [N·m] at the sites, in their axes; after ``mj_rnePostConstraint``."""
         about_com = self._sum @ self._forces
         for (position, axes), wrench, in_site in zip(self._sites, about_com, self._in_site, strict=True):

@@ -23,9 +23,10 @@ from threading import Event
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 
 IntVector = npt.NDArray[np.int64]
 RATE_WINDOW = 1.0  # over which rates and latencies are taken [s]
@@ -76,9 +77,9 @@ class JointMeasurement:
     """States of a device's joints, arrays of (m,) in the device's order."""
 
     stamp: IntVector  # when each came, monotonic [ns]; 0: never
-    position: FloatVector  # [rad]
-    velocity: FloatVector  # [rad/s]
-    effort: FloatVector  # [N·m]
+    position: FloatArray  # [rad]
+    velocity: FloatArray  # [rad/s]
+    effort: FloatArray  # [N·m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +87,9 @@ class ImuMeasurement:
     """What an inertial measurement unit says."""
 
     stamp: int  # when it came, monotonic [ns]
-    orientation: FloatVector  # (4,) in world
-    angular_velocity: FloatVector  # (3,) in IMU [rad/s]
-    linear_acceleration: FloatVector  # (3,) in IMU, specific force [m/s²]
+    orientation: FloatArray  # (4,) in world
+    angular_velocity: FloatArray  # (3,) in IMU [rad/s]
+    linear_acceleration: FloatArray  # (3,) in IMU, specific force [m/s²]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,7 @@ class WrenchMeasurement:
     """What force/torque sensors say, k of them in the device's order."""
 
     stamp: IntVector  # (k,) when each came, monotonic [ns]; 0: never
-    wrench: FloatVector  # (k, 6) [N, N·m] in the frames of Proprioceptor's wrenches
+    wrench: FloatArray  # (k, 6) [N, N·m] in the frames of Proprioceptor's wrenches
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +106,11 @@ class JointCommands:
 
     sequence: int  # of the Motor
     mode: npt.NDArray[np.uint8]  # JointMode
-    position: FloatVector  # [rad]
-    velocity: FloatVector  # [rad/s]
-    effort: FloatVector  # [N·m]
-    stiffness: FloatVector  # [N·m/rad]
-    damping: FloatVector  # [N·m·s/rad]
+    position: FloatArray  # [rad]
+    velocity: FloatArray  # [rad/s]
+    effort: FloatArray  # [N·m]
+    stiffness: FloatArray  # [N·m/rad]
+    damping: FloatArray  # [N·m·s/rad]
 
 
 @dataclass(slots=True)

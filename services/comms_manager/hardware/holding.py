@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from msgspec import structs
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import FloatVector
 
 
-def holding(last: Motor, position: FloatVector, effort: FloatVector) -> Motor:
+def holding(last: Motor, position: FloatArray, effort: FloatArray) -> Motor:
     """Every joint held by its own servo, at rest.
 
     A servo that led its joint goes on with the set-point that it has: what it carries, it carries on. The others begin

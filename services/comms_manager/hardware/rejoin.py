@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from valor.common.robot import FloatVector
+from valor.common.arrays import FloatArray
 
 SPEED = 0.5  # towards the wanted position [rad/s]
 _THERE = 1e-3  # [rad]
@@ -25,7 +25,7 @@ class Rejoining:
         self.out = np.ones(count, dtype=bool)
         self.returning = np.zeros(count, dtype=bool)
 
-    def heard(self, measured: FloatVector, reachable: npt.NDArray[np.bool_]) -> None:
+    def heard(self, measured: FloatArray, reachable: npt.NDArray[np.bool_]) -> None:
         """Where the joints are [rad], and which can be reached: those that were out return from there."""
         back = self.out & reachable
         if back.any():
@@ -39,7 +39,7 @@ class Rejoining:
         self.out[:] = True
         self.returning[:] = False
 
-    def advance(self, wanted: FloatVector, period: float) -> FloatVector:
+    def advance(self, wanted: FloatArray, period: float) -> FloatArray:
         """(k,) the set-points after ``period`` [s], towards those wanted [rad]; of joints that are out the last."""
         if self.returning.any() or self.out.any():
             step = np.clip(wanted - self.position, -SPEED * period, SPEED * period)

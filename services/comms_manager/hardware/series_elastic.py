@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.devices import can_frames
 from valor.common.devices.can_frames import Code, Identity
 from valor.common.devices.table import MotorController, SeaCanFd, SupplyLimits
 from valor.common.messages import JointMode
-from valor.common.robot import FloatVector
 from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
 from valor.comms_manager.hardware.device import (
     Ailment,
@@ -242,7 +242,7 @@ class SeriesElastic(CanDevice):
         command = self.command
         if command is None:
             return False
-        position: FloatVector = self._encoder - self._offset
+        position: FloatArray = self._encoder - self._offset
         return all(
             command.mode[row] == JointMode.OFF
             or (

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from bifrost import Received
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointSetpoints
-from valor.common.robot import FloatVector, RobotDescription
+from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.hand_goals import SIDES, HandGoals
@@ -40,10 +41,10 @@ class Layout:
     joints: npt.NDArray[np.intp]
     machines: frozenset[type[StrEnum]]
     first_of: dict[type[StrEnum], str]  # a joint of each, to name in refusals
-    lower: FloatVector  # (k,) limits of these joints [rad]
-    upper: FloatVector
-    velocity: FloatVector  # (k,) [rad/s]
-    acceleration: FloatVector  # (k,) [rad/s²]
+    lower: FloatArray  # (k,) limits of these joints [rad]
+    upper: FloatArray
+    velocity: FloatArray  # (k,) [rad/s]
+    acceleration: FloatArray  # (k,) [rad/s²]
 
 
 class JointSetpointsHandler:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.model import Model
 from valor.motion_manager.whole_body.dynamics import ModelJoints
-from valor.motion_manager.whole_body.state import FloatArray
 
 
 class UpperBodyKinematics:

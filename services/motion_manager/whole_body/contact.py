@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.common.robot_tables import Foot
 from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.whole_body.state import FloatArray
 
 POINTS = 4
 EDGES = 4

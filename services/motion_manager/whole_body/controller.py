@@ -12,6 +12,7 @@ from math import sqrt
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.model import Model
 from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.arms import UpperBodyKinematics
@@ -23,13 +24,7 @@ from valor.motion_manager.whole_body.pelvis import PelvisReference
 from valor.motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.self_collision import SelfCollision
 from valor.motion_manager.whole_body.set_points import SetPoints
-from valor.motion_manager.whole_body.state import (
-    FloatArray,
-    QpStatus,
-    RobotState,
-    UpperBodyReference,
-    WholeBodyCommand,
-)
+from valor.motion_manager.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
 from valor.motion_manager.whole_body.tasks import Objective
 from valor.motion_manager.whole_body.walking.footsteps import StepSource
 from valor.motion_manager.whole_body.walking.gait import Gait

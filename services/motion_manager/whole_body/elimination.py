@@ -30,8 +30,8 @@ import casadi as ca
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
+from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.whole_body.state import FloatArray
 
 FORCE_REGULARIZATION = 1e-4  # ε [1/N²·(objective's unit)]
 VALUE_REGULARIZATION = 1e-9  # of y: S⁻¹ makes it definite already, this keeps round-off from undoing it

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 from math import acos, degrees
 
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
-from valor.motion_manager.whole_body.state import FloatArray, RobotState
+from valor.motion_manager.whole_body.state import RobotState
 from valor.motion_manager.whole_body.support import (
     convex_hull,
     corners_on_ground,

@@ -18,11 +18,12 @@ import daqp
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel
 from valor.motion_manager.whole_body.contact import UNBOUNDED
 from valor.motion_manager.whole_body.dynamics import Dynamics
 from valor.motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
-from valor.motion_manager.whole_body.state import FloatArray, QpStatus
+from valor.motion_manager.whole_body.state import QpStatus
 from valor.motion_manager.whole_body.tasks import Objective
 
 ROUNDS = 8  # of limits joining the problem

@@ -11,7 +11,7 @@ from math import atan2, cos, sin, sqrt
 
 import numpy as np
 
-from valor.motion_manager.whole_body.state import FloatArray
+from valor.common.arrays import FloatArray
 
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 from valor.motion_manager.whole_body.dynamics import ModelJoints
-from valor.motion_manager.whole_body.state import FloatArray
 
 
 class SetPoints:

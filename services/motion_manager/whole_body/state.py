@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
+
 if TYPE_CHECKING:
     from valor.motion_manager.whole_body.dynamics import Dynamics
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(slots=True)

@@ -7,8 +7,8 @@ from math import hypot
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.robot_tables import Feet
-from valor.motion_manager.whole_body.state import FloatArray
 
 Point = tuple[float, float]
 

@@ -15,6 +15,7 @@ from math import nan
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.motion_tables import WholeBody
 from valor.motion_manager.whole_body.dynamics import (
     CHEST,
@@ -27,7 +28,6 @@ from valor.motion_manager.whole_body.dynamics import (
     ModelJoints,
     sole_rows,
 )
-from valor.motion_manager.whole_body.state import FloatArray
 from valor.motion_manager.whole_body.weights import TASKS
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks

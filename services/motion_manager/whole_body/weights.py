@@ -6,8 +6,8 @@ from math import log
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.motion_tables import WholeBody
-from valor.motion_manager.whole_body.state import FloatArray
 
 TASKS = ("com", "angular_momentum", "orientation", "foot", "arm_posture", "waist_posture", "leg_posture")
 """As ``<task>_weight`` in the ``whole_body`` table of robot.yaml."""

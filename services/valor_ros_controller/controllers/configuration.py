@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, field
 
+from valor.common.arrays import FloatArray
 from valor.common.table import NonNegative, Positive, Table, read
-from valor.valor_ros_controller.trajectory.limits import Vector
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 
 FILE = Path(__file__).parent.parent / "controllers.yaml"
@@ -93,7 +93,7 @@ class Settings:
     goal: Tolerances
     goal_time: float
     decelerate_on_cancel: bool
-    max_deceleration: Vector
+    max_deceleration: FloatArray
 
     @classmethod
     def of(cls, config: TrajectoryControllerConfig, n: int) -> Settings:

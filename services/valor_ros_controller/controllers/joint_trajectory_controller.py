@@ -17,10 +17,10 @@ from typing import Protocol
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.limits import Vector
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -67,9 +67,9 @@ class QueriedState:
     """Where a trajectory is at some time; ``message`` says why that is no answer, if it is none."""
 
     message: str
-    position: Vector  # (n,), or (0,) when there is nothing to say
-    velocity: Vector
-    acceleration: Vector
+    position: FloatArray  # (n,), or (0,) when there is nothing to say
+    velocity: FloatArray
+    acceleration: FloatArray
 
 
 _NOTHING = np.zeros(0)

@@ -10,8 +10,9 @@ from control_msgs.msg import JointTrajectoryControllerState
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
@@ -27,9 +28,9 @@ class Controller(Protocol):
 class Reference(Protocol):
     """A controller that has set-points of its own."""
 
-    position: Vector
-    velocity: Vector
-    acceleration: Vector
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
 
 
 class ControllerStatePublisher:

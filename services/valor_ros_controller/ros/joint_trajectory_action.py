@@ -14,6 +14,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     Goal,
     JointTrajectoryController,
@@ -23,7 +24,6 @@ from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
 )
 from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import Vector
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 from valor.valor_ros_controller.update_queue import UpdateQueue
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -34,12 +34,12 @@ def _nanoseconds(time: Any) -> int:
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
-def _numbers(values: Vector) -> array.array[float]:
+def _numbers(values: FloatArray) -> array.array[float]:
     """What rclpy's setters take without looking at each element."""
     return array.array("d", values.tobytes())
 
 
-def _point(position: Vector, velocity: Vector, acceleration: Vector | None, since_start: int) -> Any:
+def _point(position: FloatArray, velocity: FloatArray, acceleration: FloatArray | None, since_start: int) -> Any:
     seconds, nanoseconds = divmod(since_start, 1_000_000_000)
     point = JointTrajectoryPoint(
         positions=_numbers(position),

@@ -14,13 +14,13 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.valor_ros_controller.controllers.configuration import (
     Settings,
     TrajectoryControllerConfig,
 )
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.trajectory.limits import Vector
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 
 T = TypeVar("T", bool, float)
@@ -167,7 +167,7 @@ class TrajectoryParameters:
         kept.append(self._declare(f"{self._prefix}.{key}", default, description, values, change))
         return kept
 
-    def _keep_at(self, kept: Vector, place: int, joint: str, each: _EachJoint, default: float) -> None:
+    def _keep_at(self, kept: FloatArray, place: int, joint: str, each: _EachJoint, default: float) -> None:
         """A parameter's value, at a place of a vector."""
 
         def change(value: float) -> None:

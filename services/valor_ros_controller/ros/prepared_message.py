@@ -11,9 +11,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
+
+from valor.common.arrays import FloatArray
 
 _ENCAPSULATION = 4  # bytes before the body; alignment counts from its end
 _MARK = 1e200  # no coordinate
@@ -50,7 +51,7 @@ class PreparedMessage:
             raise ValueError(f"expected {count} marked numbers, each once, in {type(message).__name__}")
         self._seconds = np.flatnonzero((words[:-1] == _SECONDS) & (words[1:] == _NANOSECONDS))
         self._words = words
-        self.values: npt.NDArray[np.float64] = np.zeros(count)
+        self.values: FloatArray = np.zeros(count)
 
     def serialized(self, stamp: Time) -> bytes:
         """The message with the present ``values``, stamped."""

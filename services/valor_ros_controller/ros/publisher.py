@@ -12,7 +12,6 @@ from math import nan
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
@@ -22,14 +21,13 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, Imu, JointState
 from std_msgs.msg import String
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.common.robot import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 from valor.valor_ros_controller.ros.transforms import ODOM, TransformPublisher
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-
-Vector = npt.NDArray[np.float64]
 
 QUEUE = 5
 """Depth of the state topics: reliable for whoever asks for it, but old states are let go."""
@@ -58,7 +56,7 @@ RATES = {publication.name: publication.rate for publication in PUBLICATIONS}
 TOPICS = {publication.name: publication.topics for publication in PUBLICATIONS}
 
 
-def _diagonal(variances: tuple[float, ...]) -> Vector:
+def _diagonal(variances: tuple[float, ...]) -> FloatArray:
     """Row-major covariance."""
     return np.diag(variances).ravel()
 
@@ -211,7 +209,7 @@ class Publisher:
         measured = _measured(hw)
         self._publish_wrenches(self._hands, measured.left_hand_wrench, measured.right_hand_wrench)
 
-    def _publish_wrenches(self, pairs: list[tuple[Any, PreparedMessage]], left: Vector, right: Vector) -> None:
+    def _publish_wrenches(self, pairs: list[tuple[Any, PreparedMessage]], left: FloatArray, right: FloatArray) -> None:
         for (publisher, message), wrench in zip(pairs, (left, right), strict=True):
             message.values[:] = wrench
             publisher.publish(message.serialized(self._stamp))
@@ -247,7 +245,7 @@ def _measured(hw: ValorEscherHWInterface) -> Proprioceptor:
     return hw.measured
 
 
-def _into(orientation: Vector, vector: Vector) -> tuple[float, float, float]:
+def _into(orientation: FloatArray, vector: FloatArray) -> tuple[float, float, float]:
     """A vector (3,) of the outer frame in the frame that ``orientation`` turns: Odometry's twist is the child's."""
     w, x, y, z = orientation.tolist()
     a, b, c = vector.tolist()

@@ -6,26 +6,25 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState
 from valor.common.robot import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 
-Vector = npt.NDArray[np.float64]
 Point = tuple[float, float, float]
 
 ODOM = "odom"
 FOOTPRINT = "base_footprint"
 
 
-def multiply(a: Vector, b: Vector) -> Vector:
+def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
     """Products of quaternions (…, 4), (w, x, y, z)."""
     w1, x1, y1, z1 = np.moveaxis(a, -1, 0)
     w2, x2, y2, z2 = np.moveaxis(b, -1, 0)
@@ -40,7 +39,7 @@ def multiply(a: Vector, b: Vector) -> Vector:
     )
 
 
-def rotate(q: Vector, v: Vector) -> Vector:
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Vectors (…, 3) turned by quaternions (…, 4)."""
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)
@@ -82,7 +81,7 @@ class LinkTransforms:
         self.position = self._offset.copy()
         self.orientation = self._fixed.copy()
 
-    def update(self, joint_position: Vector) -> None:
+    def update(self, joint_position: FloatArray) -> None:
         """Take the angles of all joints of the robot (n,) [rad]."""
         half = 0.5 * joint_position[self._joints]
         self._turn[self._moving, 0] = np.cos(half)
@@ -166,7 +165,7 @@ class TransformPublisher:
             fixed.append(_transform(parent, frame.name, Time(), _numbers(frame.position, frame.orientation)))
         self._static.publish(TFMessage(transforms=fixed))
 
-    def publish(self, joint_position: Vector, motion: MotionState) -> None:
+    def publish(self, joint_position: FloatArray, motion: MotionState) -> None:
         """Publish the transforms of a state."""
         links, rows = self._links, self._rows
         links.update(joint_position)

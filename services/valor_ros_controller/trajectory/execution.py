@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import JointLimits, Vector
+from valor.valor_ros_controller.trajectory.limits import JointLimits
 from valor.valor_ros_controller.trajectory.splines import check_segments, spline
 from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 
@@ -29,7 +30,7 @@ class Trajectory:
         end: robot time of the last point [ns].
     """
 
-    def __init__(self, knots: Sequence[int], coefficients: Vector, final: Vector) -> None:
+    def __init__(self, knots: Sequence[int], coefficients: FloatArray, final: FloatArray) -> None:
         """Take k segments.
 
         Args:
@@ -47,13 +48,13 @@ class Trajectory:
         self.start, self.end = self._knots[0], self._knots[-1]
 
     @classmethod
-    def holding(cls, now: int, position: Vector) -> Trajectory:
+    def holding(cls, now: int, position: FloatArray) -> Trajectory:
         """Stay at a position."""
         return cls([now], np.zeros((0, 6, len(position))), position.copy())
 
     @classmethod
     def stopping(
-        cls, now: int, position: Vector, velocity: Vector, deceleration: Vector, limits: JointLimits
+        cls, now: int, position: FloatArray, velocity: FloatArray, deceleration: FloatArray, limits: JointLimits
     ) -> Trajectory:
         """Come to rest from ``velocity`` (n,), each joint with its own ``deceleration`` (n,) [1/s²].
 
@@ -84,7 +85,7 @@ class Trajectory:
         waypoints: Waypoints,
         start: int,
         now: int,
-        state: tuple[Vector, Vector, Vector],
+        state: tuple[FloatArray, FloatArray, FloatArray],
         limits: JointLimits,
     ) -> Trajectory:
         """Go from the present set-point to the first point that is still to come, and on from there.
@@ -146,7 +147,7 @@ class Trajectory:
         final[columns] = waypoints.positions[-1]
         return cls([now, *times[first:].tolist()], coefficients, final)
 
-    def sample(self, now: int, position: Vector, velocity: Vector, acceleration: Vector) -> None:
+    def sample(self, now: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> None:
         """Write the state at a robot time [ns] into three (n,) vectors. Time does not run backwards."""
         knots = self._knots
         if now >= self.end:
@@ -160,7 +161,7 @@ class Trajectory:
         self._segment = segment
         self._evaluate(segment, now, (position, velocity, acceleration))
 
-    def at(self, time: int) -> tuple[Vector, Vector, Vector]:
+    def at(self, time: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(n,) position, velocity and acceleration at any robot time [ns]; before its start as at its start."""
         n = len(self._final)
         if time >= self.end:
@@ -170,7 +171,7 @@ class Trajectory:
         self._evaluate(segment, time, state)
         return state
 
-    def _evaluate(self, segment: int, time: int, state: tuple[Vector, Vector, Vector]) -> None:
+    def _evaluate(self, segment: int, time: int, state: tuple[FloatArray, FloatArray, FloatArray]) -> None:
         t = max(0, time - self._knots[segment]) * 1e-9
         t2 = t * t
         t3 = t2 * t

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Vector = npt.NDArray[np.float64]
+from valor.common.arrays import FloatArray
+
 Indices = npt.NDArray[np.intp]
 
 
@@ -17,6 +18,6 @@ class JointLimits:
 
     names: tuple[str, ...]
     units: tuple[str, ...]  # of position, each rad or m
-    lower: Vector  # (n,)
-    upper: Vector  # (n,)
-    velocity: Vector  # (n,) [1/s]
+    lower: FloatArray  # (n,)
+    upper: FloatArray  # (n,)
+    velocity: FloatArray  # (n,) [1/s]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 
 SPEED_MARGIN = 1.01
 """How far the peak of a spline may exceed the speed limit: planners place way-points at the limit itself."""
@@ -15,11 +16,11 @@ _CHUNK = 64  # segments at a time: bounds the memory of the check
 
 
 def spline(
-    start: tuple[Vector, Vector, Vector],
-    end: tuple[Vector, Vector, Vector],
-    duration: Vector,
+    start: tuple[FloatArray, FloatArray, FloatArray],
+    end: tuple[FloatArray, FloatArray, FloatArray],
+    duration: FloatArray,
     order: Indices,
-) -> Vector:
+) -> FloatArray:
     """Coefficients of the polynomials between pairs of states (position, velocity, acceleration).
 
     Args:
@@ -50,7 +51,7 @@ def spline(
     return c
 
 
-def _powers(time: Vector) -> tuple[Vector, Vector]:
+def _powers(time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(…, 6) powers of time for position, and their derivatives for velocity."""
     ones = np.ones_like(time)
     position = np.stack([ones, time, time**2, time**3, time**4, time**5], axis=-1)
@@ -59,8 +60,8 @@ def _powers(time: Vector) -> tuple[Vector, Vector]:
 
 
 def check_segments(
-    coefficients: Vector,
-    duration: Vector,
+    coefficients: FloatArray,
+    duration: FloatArray,
     limits: JointLimits,
     columns: Indices,
     describe: str = "between points {0} and {1}",

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import JointLimits, Vector
+from valor.valor_ros_controller.trajectory.limits import JointLimits
 
 
 @dataclass(frozen=True)
 class Tolerances:
     """How far from the desired state each of n joints may be; inf: not checked."""
 
-    position: Vector  # (n,) [rad or m]
-    velocity: Vector  # (n,) [1/s]
+    position: FloatArray  # (n,) [rad or m]
+    velocity: FloatArray  # (n,) [1/s]
 
     @classmethod
     def default(cls, position: Sequence[float], velocity: float) -> Tolerances:
@@ -51,7 +52,7 @@ class Tolerances:
                     target[joint] = np.inf if value < 0 else value
         return Tolerances(position, velocity)
 
-    def violation(self, limits: JointLimits, position_error: Vector, velocity_error: Vector) -> str:
+    def violation(self, limits: JointLimits, position_error: FloatArray, velocity_error: FloatArray) -> str:
         """Which joint is out, by how much, and the tolerance; empty: none."""
         for error, tolerance, per in ((position_error, self.position, ""), (velocity_error, self.velocity, "/s")):
             off = np.abs(error)

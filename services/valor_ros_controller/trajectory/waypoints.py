@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits, Vector
+from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 from valor.valor_ros_controller.trajectory.splines import SPEED_MARGIN, check_segments, spline
 
 _END_VELOCITY = 1e-6  # [1/s]
@@ -37,12 +38,12 @@ class Waypoints:
     """
 
     columns: Indices
-    times: Vector
-    positions: Vector
-    velocities: Vector
-    accelerations: Vector
+    times: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    accelerations: FloatArray
     order: Indices
-    coefficients: Vector
+    coefficients: FloatArray
 
 
 def _columns(names: Sequence[str], limits: JointLimits, allow_partial: bool) -> Indices:

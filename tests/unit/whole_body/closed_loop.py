@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.model import controller_model
 from valor.common.robot import RobotDescription
@@ -30,7 +31,6 @@ from valor.motion_manager.whole_body import (
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 
-FloatArray = npt.NDArray[np.float64]
 ROBOTS = Path(__file__).parents[3] / "robots"
 MODES = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
 

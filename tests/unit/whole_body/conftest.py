@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.unit.whole_body.closed_loop import load_robot
+from valor.common.arrays import FloatArray
 from valor.common.model import Model, controller_model
 from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.dynamics import Dynamics
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
+from tests.unit.whole_body.conftest import RandomState, random_states
+from valor.common.arrays import FloatArray
 from valor.common.model import Model
 from valor.motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, Dynamics
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop
-from tests.unit.whole_body.conftest import FloatArray
+from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.common.model import Model, controller_model
 from valor.common.robot import RobotDescription

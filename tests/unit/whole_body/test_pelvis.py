@@ -11,7 +11,7 @@ import pytest
 
 from bifrost import Received
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from tests.unit.whole_body.conftest import FloatArray
+from valor.common.arrays import FloatArray
 from valor.common.messages import PelvisSetpoint
 from valor.common.model import Model
 from valor.common.robot import RobotDescription

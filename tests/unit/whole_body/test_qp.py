@@ -8,7 +8,8 @@ import daqp
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
+from tests.unit.whole_body.conftest import RandomState, random_states
+from valor.common.arrays import FloatArray
 from valor.common.model import Model
 from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from tests.unit.whole_body.conftest import FloatArray
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.model import controller_model
 from valor.common.robot import RobotDescription

@@ -28,6 +28,8 @@ import can
 import numpy as np
 import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
+
 JOINTS = 4  # of a segment, at most
 COMMAND, STATE, INQUIRY, IDENTITY = 0x080, 0x100, 0x180, 0x200  # first identifiers of each kind
 KIND = 0x7C0  # of an identifier, the bits that are the kind
@@ -35,7 +37,6 @@ SEGMENTS = 64  # on a bus, at most
 SETPOINTS = 1  # flag of a command
 WATCHDOG = 0.25  # [s]
 
-FloatVector = npt.NDArray[np.float64]
 _SEGMENT = 0x03F
 _COMMAND_HEADER, _STATE_HEADER = struct.Struct("<HH"), struct.Struct("<HHHH")
 _SETPOINT = np.dtype(
@@ -57,7 +58,7 @@ _UNITS = {"position": 1e-6, "velocity": 1e-3, "effort": 0.01, "stiffness": 0.1, 
 _VOLT = 0.01
 
 
-def _columns(layout: np.dtype[np.void]) -> tuple[tuple[str, ...], FloatVector, FloatVector, FloatVector]:
+def _columns(layout: np.dtype[np.void]) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
     """The numbers with a unit in a layout: names, and (m, 1) each: how many units a number is, the least, the most."""
     names = tuple(name for name in _UNITS if name in (layout.names or ()))
     limits = [np.iinfo(layout[name]) for name in names]
@@ -106,11 +107,11 @@ class Setpoints:
     """
 
     mode: npt.NDArray[np.uint8]
-    position: FloatVector
-    velocity: FloatVector
-    effort: FloatVector
-    stiffness: FloatVector
-    damping: FloatVector
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
 
     def of(self, part: slice) -> Setpoints:
         """Those of some of the joints."""
@@ -142,10 +143,10 @@ class SegmentState:
     command_sequence: int
     sequence: int
     voltage: float
-    position: FloatVector
-    velocity: FloatVector
-    effort: FloatVector
-    temperature: FloatVector
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    temperature: FloatArray
     fault: npt.NDArray[np.uint8]
 
 
@@ -253,8 +254,8 @@ def _require(frame: can.Message, size: int) -> None:
 
 def _write(
     fields: npt.NDArray[np.void],
-    columns: tuple[tuple[str, ...], FloatVector, FloatVector, FloatVector],
-    values: Sequence[FloatVector],
+    columns: tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray],
+    values: Sequence[FloatArray],
 ) -> None:
     """Scale, round and clamp values into their fields, all at once: this is done for every frame."""
     names, scale, least, most = columns

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import require_one_of
 from valor.common.worlds.dirt import Dirt
 from valor.common.worlds.flat import Flat
@@ -62,7 +62,7 @@ def load(name: str, seed: int) -> mujoco.MjSpec:
     return spec
 
 
-def heights(name: str, seed: int, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def heights(name: str, seed: int, x: FloatArray, y: FloatArray) -> FloatArray:
     """(ny, nx) height of the ground a foot would meet at x (nx,) and y (ny,) [m], for pictures and experiments.
 
     Raises:

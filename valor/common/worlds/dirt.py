@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.worlds.world import DIRT, MARK, decoration, floor, ground
-
-FloatArray = npt.NDArray[np.float64]
 
 _BEFORE, _BEYOND = 2.0, 5.0  # ground behind the start and beyond the finish [m]
 _PAD = (0.6, 1.6)  # level up to the first x, the full course from the second on [m]

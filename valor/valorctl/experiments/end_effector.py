@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from valor.analysis.bag import Array, Bag
+from valor.analysis.bag import Bag
 from valor.analysis.end_effector import HandTrack
 from valor.analysis.recording import Recording
 from valor.analysis.results import Measure, Table
+from valor.common.arrays import FloatArray
 from valor.valorctl.experiments import arm_session, robot_variant
 from valor.valorctl.experiments.experiment import Run
 
@@ -152,7 +153,7 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None)
     ]  # fmt: skip
 
 
-def _at_rest(track: HandTrack) -> tuple[Array, Array, Array]:
+def _at_rest(track: HandTrack) -> tuple[FloatArray, FloatArray, FloatArray]:
     """By motion, at rest: distance by the base, distance from the goal [m], largest angle from the goal [rad]."""
     rests = [track.settled(motion) for motion in track.motions]
     base, total = track.base_error, track.total_error

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from valor.analysis import style
-from valor.analysis.bag import Array
 from valor.analysis.bands import bands, make_room
 from valor.analysis.results import Measure, Table
+from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
 from valor.valorctl.console import bar
 from valor.valorctl.experiments import ipc_peer
@@ -34,7 +34,7 @@ _WAYS = {"threads": "thread to thread", "processes": "process to process"}
 def run(run: Run) -> None:
     """Ten messages a second for two minutes: between two threads, and between two processes, over either."""
     count = int(RATE * (QUICK if run.options.quick else SECONDS))
-    latencies: dict[tuple[str, str], Array] = {}
+    latencies: dict[tuple[str, str], FloatArray] = {}
     with run.system(profile="bifrost"):
         for way in _WAYS:
             # Both transports at the same time, so that whatever else the computer does falls alike on both.
@@ -73,7 +73,7 @@ def run(run: Run) -> None:
                 "Latency of each message over time; the lines are trends.", "Figure 5.1")  # fmt: skip
 
 
-def _measure(run: Run, way: str, count: int) -> dict[str, Array]:
+def _measure(run: Run, way: str, count: int) -> dict[str, FloatArray]:
     """Latencies [s] over each transport."""
     environment = os.environ | run.instance.environment()
     # The receiving end is there first; the sending one waits until it has found it.
@@ -110,7 +110,7 @@ def _measure(run: Run, way: str, count: int) -> dict[str, Array]:
             file.unlink(missing_ok=True)
 
 
-def _match(name: str, notes: list[str]) -> Array:
+def _match(name: str, notes: list[str]) -> FloatArray:
     """Pair what was sent with what arrived [s]."""
     times: dict[str, dict[int, int]] = {"sent": {}, "received": {}}
     for line in "".join(notes).splitlines():
@@ -122,7 +122,7 @@ def _match(name: str, notes: list[str]) -> Array:
     return np.array([received[number] - sent[number] for number in sorted(received)]) * 1e-9
 
 
-def _write_csv(latencies: Mapping[tuple[str, str], Array], file: Path) -> Path:
+def _write_csv(latencies: Mapping[tuple[str, str], FloatArray], file: Path) -> Path:
     with open(file, "w", newline="") as out:
         writer = csv.writer(out)
         writer.writerow(("way", "transport", "message", "latency_us"))
@@ -131,7 +131,7 @@ def _write_csv(latencies: Mapping[tuple[str, str], Array], file: Path) -> Path:
     return file
 
 
-def _plot(latencies: Mapping[tuple[str, str], Array], file: Path) -> Path:
+def _plot(latencies: Mapping[tuple[str, str], FloatArray], file: Path) -> Path:
     figure = style.figure(11.0, 4.6)
     grid = figure.add_gridspec(1, 2, left=0.07, right=0.985, bottom=0.2, top=0.80, wspace=0.14)
     top = 1.2e6 * max(float(np.quantile(x, 0.99)) for x in latencies.values())

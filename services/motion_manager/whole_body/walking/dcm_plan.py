@@ -16,9 +16,8 @@ from __future__ import annotations
 from math import exp, hypot, inf
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from valor.common.arrays import FloatArray
 
 FIRST = slice(1, 2)  # knot after the start
 

@@ -8,13 +8,10 @@ from math import acos, cos, hypot, remainder, sin, tau
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from valor.common.motion_tables import Footsteps
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.swing import SolePose
-
-FloatArray = npt.NDArray[np.float64]
 
 LEFT, RIGHT = 0, 1
 FEET = ("left", "right")

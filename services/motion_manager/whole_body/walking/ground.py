@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from valor.common.arrays import FloatArray
 
 FOOTHOLDS = 5  # remembered
 FADING = 0.8  # weight of a foothold, to that of the one after it

@@ -31,9 +31,9 @@ import casadi as ca
 import daqp
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.state import FloatArray
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step
 from valor.motion_manager.whole_body.walking.swing import SolePose
 

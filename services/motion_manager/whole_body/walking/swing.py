@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from math import cos, sin
 
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.motion_manager.whole_body import rotation
-
-FloatArray = npt.NDArray[np.float64]
 
 FOLLOWING = 0.06  # in which a late foot goes to its foothold's new place [s]
 HURRY = 4.0  # with which it gets quicker [m/s²]

@@ -13,15 +13,13 @@ from collections.abc import Sequence
 from math import cos, inf, sin
 
 import numpy as np
-import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.common.motion_tables import Walking
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
 from valor.motion_manager.whole_body.walking.ground import GroundPlane
 from valor.motion_manager.whole_body.walking.swing import SolePose
-
-FloatArray = npt.NDArray[np.float64]
 
 STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
 AHEAD = 3  # steps
