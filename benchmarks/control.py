@@ -27,8 +27,8 @@ import pushes
 import walks
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.robot.description import RobotDescription
 
 
 def main() -> None:

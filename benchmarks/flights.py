@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from valor.common.robot_tables import RobotTables
-from valor.common.worlds.stairs import Stairs
+from valor.robot.tables import RobotTables
+from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl.step_plan import PlanStep
 
 SWING_HEIGHT = 0.08  # between steps of stairs [m]

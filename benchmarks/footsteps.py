@@ -24,10 +24,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which
 
 from tests.unit.whole_body.closed_loop import load_robot
 from tests.unit.whole_body.plan_walk import Walked, walk_plan
-from valor.common import worlds
-from valor.common.motion_tables import Footsteps
 from valor.common.poses import level
-from valor.common.worlds.stairs import Stairs
+from valor.robot.motion_tables import Footsteps
+from valor.simulation import worlds
+from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl.step_plan import FEET, PlanStep, load
 
 PLANS = Path(__file__).parents[1] / "examples" / "plans"

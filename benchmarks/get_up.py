@@ -12,7 +12,7 @@ import numpy as np
 
 from tests.unit.robot_in_process import RobotInProcess
 from tests.unit.whole_body.closed_loop import load_robot
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 PUSHES: dict[str, tuple[float, float, float]] = {
     "forward": (110.0, 0.0, 0.0),

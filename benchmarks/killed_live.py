@@ -26,7 +26,6 @@ import numpy as np
 from benchmarks.flights import over_stairs
 from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.integration.device_system import Newest, RobotOnDevices, on_devices
-from valor.common import worlds
 from valor.common.messages import (
     Footstep,
     FootstepPlanReply,
@@ -35,9 +34,10 @@ from valor.common.messages import (
     Proprioceptor,
     VelocityCommand,
 )
-from valor.common.robot import RobotDescription
 from valor.common.topics import FOOTSTEP_PLAN, GROUND_TRUTH, PROPRIOCEPTOR, VELOCITY
-from valor.common.worlds.stairs import Stairs
+from valor.robot.description import RobotDescription
+from valor.simulation import worlds
+from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl.step_plan import FEET
 
 SPEED = 0.3  # [m/s]

@@ -18,8 +18,8 @@ import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import PushReply, PushRequest
-from valor.common.robot import RobotDescription
 from valor.common.topics import PUSH
+from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
 
 VALORCTL = Path(sys.executable).with_name("valorctl")

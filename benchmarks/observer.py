@@ -16,8 +16,8 @@ from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Track
 from valor.common.errors import ValorError
 from valor.common.messages import ClockStatus, GroundTruth, MotionState, Proprioceptor, Statistics
-from valor.common.robot import RobotDescription
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 SILENCE = 10.0  # of the Motion Manager, after which a run is given up [s]
 

@@ -39,8 +39,8 @@ import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import JointSetpoints, Motor, Proprioceptor, Statistics
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, VALOR_ROS_CONTROLLER_STATISTICS
+from valor.robot.description import RobotDescription
 
 INSTANCE = "pathways"
 RATE = 250.0  # of the floor's messages, as of /joint_states [Hz]

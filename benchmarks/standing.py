@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from valor.analysis.pace import Pace
-from valor.common import recordings
+from valor.bags import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import GroundTruth, MotionState, Statistics

@@ -15,13 +15,13 @@ import numpy as np
 from live_system import System
 
 import bifrost
-from valor.common.devices.table import Device, Dynamixel, FtCan, HdtBifrost, SeaCanFd
 from valor.common.errors import ValorError
 from valor.common.messages import GroundTruth, Proprioceptor
-from valor.common.model import full_model
 from valor.common.poses import Pose
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, PROPRIOCEPTOR
+from valor.devices.table import Device, Dynamixel, FtCan, HdtBifrost, SeaCanFd
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.valorctl import arm_motion, status, stepping
 from valor.valorctl.arm_motion import SIDES, Limb, Side
 from valor.valorctl.step_planner import middle

@@ -25,8 +25,8 @@ from trials import TRIALS, Bench, Values, told
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.robot import RobotDescription
 from valor.common.topics import DEVICES, PELVIS, TOPICS
+from valor.robot.description import RobotDescription
 from valor.valorctl.profile import Profile
 
 VARIANTS = ("sim", "hardware")

@@ -11,9 +11,9 @@ from typing import Protocol, Self
 from flights import over_stairs
 from live_system import System
 
-from valor.common import worlds
-from valor.common.robot import RobotDescription
-from valor.common.worlds.stairs import Stairs
+from valor.robot.description import RobotDescription
+from valor.simulation import worlds
+from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl import stepping
 from valor.valorctl.step_plan import PlanStep
 from valor.valorctl.walking import MODES, Order, walk

@@ -15,9 +15,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bifrost import Message
 from valor.common.messages import GroundTruth, JointSetpoints, MotionState, Motor, Proprioceptor
-from valor.common.model import Model, robot_spec
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model, robot_spec
 
 DEFINITIONS = Path(sys.prefix) / "share" / "valor_msgs" / "msg"
 GOALS = {"r_shoulder_pitch": -0.8, "r_shoulder_roll": -0.5, "r_elbow_pitch": 0.9, "neck_yaw": -0.5, "neck_pitch": 0.2}

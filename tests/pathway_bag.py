@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from valor.analysis.pathways import JOINT_STATES, MODE_COMMAND, MODE_REPORT, REFERENCE, VEC
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 SHARE = Path(sys.prefix) / "share"
 TO_SETPOINT, TO_MOTOR, TO_STATES = 0.0012, 0.0015, 0.0008  # from a Proprioceptor sent, to what is made of it sent [s]

@@ -11,7 +11,7 @@ from typing import Protocol
 from mcap.writer import CompressionType
 
 from valor.bag_recorder.quick_writer import QuickWriter
-from valor.common.bag_files import LIBRARY, PROFILE
+from valor.bags.files import LIBRARY, PROFILE
 
 CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
 SHARE = 250  # messages that are taken from a topic between two signs of life

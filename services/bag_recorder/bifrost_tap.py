@@ -12,8 +12,8 @@ from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
+from valor.bags.selection import EVERYTHING, Selection
 from valor.common.messages import MotionState
-from valor.common.selection import EVERYTHING, Selection
 from valor.common.topics import MOTION_STATE, TOPICS, Topic
 
 PREFIX = "/bifrost/"

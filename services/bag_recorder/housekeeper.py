@@ -12,9 +12,9 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from valor.common import recordings, rosbag2_metadata
-from valor.common.bag_files import is_own_folder
-from valor.common.retention import Bounds
+from valor.bags import recordings, rosbag2_metadata
+from valor.bags.files import is_own_folder
+from valor.common.bounds import Bounds
 
 PERIOD = 10.0  # between two looks at what there is; a finished bag is a reason to look at once [s]
 PATIENCE = 5.0  # with it, when the recorder ends [s]

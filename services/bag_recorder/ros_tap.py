@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
-from valor.common.selection import Selection
+from valor.bags.selection import Selection
 
 DEPTH = 2000  # messages a topic that may wait for the next look
 ROUNDS = 8  # of discovery, in which every known topic is looked over once

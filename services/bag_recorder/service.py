@@ -13,14 +13,14 @@ from valor.bag_recorder.definitions import UnknownTypeError
 from valor.bag_recorder.last_seconds import LastSeconds
 from valor.bag_recorder.ros_tap import RosTap
 from valor.bag_recorder.shelf import Shelf, told
-from valor.common import recordings
+from valor.bags import recordings
+from valor.bags.selection import Selection
 from valor.common.errors import ConfigurationError
 from valor.common.messages import MotionState, SnapReply, SnapRequest
 from valor.common.resources import REPAIR
-from valor.common.selection import Selection
-from valor.common.service import Context, quiet_collector
 from valor.common.topics import MOTION_STATE, SNAP
 from valor.common.trace import Stage
+from valor.service import Context, quiet_collector
 
 PERIOD = 0.1  # between two looks [s]; a look at some ninety topics has its price, and queues hold seconds
 DISCOVERY_PERIOD = 0.25  # [s]

@@ -17,13 +17,14 @@ from valor.bag_recorder import tally
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.clock import ClockChange, WallClock
 from valor.bag_recorder.housekeeper import Housekeeper
-from valor.common import recordings, whole_file
-from valor.common.bag_index import EVENT, BagError, read_index
-from valor.common.bag_recovery import recover
+from valor.bags import recordings
+from valor.bags.index import EVENT, BagError, read_index
+from valor.bags.recordings import Unfinished
+from valor.bags.recovery import recover
+from valor.common import whole_file
 from valor.common.errors import ConfigurationError
-from valor.common.recordings import Unfinished
-from valor.common.service import Context
 from valor.common.table import plain
+from valor.service import Context
 
 SUFFIX = ".mcap"
 SPACE_KEPT = 64 << 20  # the disk is never filled beyond this [B]

@@ -2,7 +2,7 @@
 
 import sys
 
-from valor.common.service import run
 from valor.comms_manager.service import CommsManager
+from valor.service import run
 
 sys.exit(run("comms_manager", CommsManager))

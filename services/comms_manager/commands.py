@@ -8,8 +8,8 @@ import time
 
 import bifrost
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.comms_manager.leader import Leader
+from valor.robot.description import RobotDescription
 
 COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
 MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held

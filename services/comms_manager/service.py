@@ -8,7 +8,6 @@ from collections import deque
 import bifrost
 from valor.common.floods import REQUESTS, STREAM
 from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, Motor, Proprioceptor
-from valor.common.service import Context, quiet_collector
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR, STOP
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
@@ -16,6 +15,7 @@ from valor.comms_manager.commands import AT_ONCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
 from valor.comms_manager.leader import Leader
 from valor.motion_manager.reflex import BalanceReflex
+from valor.service import Context, quiet_collector
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
 STOPS_AT_ONCE = 2  # requests that a period answers, at most

@@ -2,7 +2,7 @@
 
 import sys
 
-from valor.common.service import run
 from valor.device_emulators.service import DeviceEmulators
+from valor.service import run
 
 sys.exit(run("device_emulators", DeviceEmulators))

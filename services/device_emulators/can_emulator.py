@@ -9,10 +9,10 @@ from collections.abc import Mapping
 
 import can
 
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Code, Identity
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
+from valor.devices import can_frames
+from valor.devices.can_frames import Code, Identity
 
 LATENESS = 0.03  # of late answers [s]
 SLOWNESS = 10  # a slow unit answers one of so many

@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 
-from valor.common.devices.dynamixel import MODELS, OperatingMode
-from valor.common.devices.ports import serial_port
-from valor.common.devices.table import Dynamixel, DynamixelServo
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.common.robot import RobotDescription
 from valor.device_emulators.dynamixel_bus import DynamixelBus, Servo
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
 from valor.device_emulators.serial_port import FaultyLine, SerialPort
+from valor.devices.dynamixel import MODELS, OperatingMode
+from valor.devices.ports import serial_port
+from valor.devices.table import Dynamixel, DynamixelServo
+from valor.robot.description import RobotDescription
 
 ADAPTER = "port"  # the unit that all servos are behind: unplugged, the port is gone
 JUMP = 0.5  # of an encoder [rad]

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from valor.common.devices.dynamixel import (
+from valor.devices.dynamixel import (
     DEFAULT_SHUTDOWN,
     HardwareError,
     Item,

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from valor.common.arrays import FloatArray
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Identity, Status
-from valor.common.devices.end_to_end import protect
-from valor.common.devices.ports import open_can
-from valor.common.devices.table import FtCan
 from valor.common.instance import Instance, Settings
-from valor.common.robot import RobotDescription
 from valor.device_emulators.can_emulator import CanEmulator
 from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
+from valor.devices import can_frames
+from valor.devices.can_frames import Identity, Status
+from valor.devices.end_to_end import protect
+from valor.devices.ports import open_can
+from valor.devices.table import FtCan
+from valor.robot.description import RobotDescription
 
 FEVER, NORMAL = 90.0, 31.0  # [°C]
 

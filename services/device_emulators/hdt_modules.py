@@ -11,15 +11,15 @@ import can
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.devices import hdt_bus
-from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints
-from valor.common.devices.ports import open_can
-from valor.common.devices.table import HdtBifrost
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.common.robot import RobotDescription
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches, NoSuchFaultError
 from valor.device_emulators.robot import Places, SimulatedRobot
+from valor.devices import hdt_bus
+from valor.devices.hdt_bus import Fault, SegmentState, Setpoints
+from valor.devices.ports import open_can
+from valor.devices.table import HdtBifrost
+from valor.robot.description import RobotDescription
 from valor.simulation.gears import Gears
 
 SUPPLY = 48.0  # [V]

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
-from valor.common.robot import RobotDescription
 from valor.device_emulators.dynamixel import DynamixelEmulator
 from valor.device_emulators.emulator import Emulator
 from valor.device_emulators.force_torque import ForceTorqueEmulator
 from valor.device_emulators.hdt_modules import HdtModules
 from valor.device_emulators.microstrain import MicroStrainEmulator
 from valor.device_emulators.series_elastic import SeriesElasticEmulator
+from valor.robot.description import RobotDescription
 
 Maker = Callable[[str, Instance, Settings, RobotDescription], Emulator]
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from valor.common.devices.ports import serial_port
-from valor.common.devices.table import MicroStrainMip
 from valor.common.instance import Instance, Settings
-from valor.common.robot import RobotDescription
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.mip_sensor import Attitude, MipSensor
 from valor.device_emulators.robot import SimulatedRobot
 from valor.device_emulators.serial_port import FaultyLine, SerialPort
+from valor.devices.ports import serial_port
+from valor.devices.table import MicroStrainMip
+from valor.robot.description import RobotDescription
 
 _KINDS = frozenset(EmulatedFault) - {
     EmulatedFault.ENCODER_JUMP, EmulatedFault.OVER_TEMPERATURE, EmulatedFault.UNDER_VOLTAGE,

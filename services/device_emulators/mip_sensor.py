@@ -1,6 +1,6 @@
 """What a 3DM-GX4-25 makes of the bytes that it is sent, and the packets that it streams.
 
-Written from the manual's tables (``valor.common.devices.mip``) without the driver's code: a mistake in one shows in the
+Written from the manual's tables (``valor.devices.mip``) without the driver's code: a mistake in one shows in the
 other.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.devices.mip import (
+from valor.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
     FILTER_BASE_RATE,

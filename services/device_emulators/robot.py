@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
-from valor.common.devices.table import SeaCanFd
 from valor.common.instance import Settings
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.common.robot import RobotDescription
+from valor.devices.table import SeaCanFd
+from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 

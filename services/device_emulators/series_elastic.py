@@ -5,16 +5,16 @@ from __future__ import annotations
 import can
 import numpy as np
 
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Code, Identity, Status
-from valor.common.devices.end_to_end import protect
-from valor.common.devices.ports import open_can
-from valor.common.devices.table import MotorController, SeaCanFd
 from valor.common.instance import Instance, Settings
-from valor.common.robot import RobotDescription
 from valor.device_emulators.can_emulator import CanEmulator
 from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
+from valor.devices import can_frames
+from valor.devices.can_frames import Code, Identity, Status
+from valor.devices.end_to_end import protect
+from valor.devices.ports import open_can
+from valor.devices.table import MotorController, SeaCanFd
+from valor.robot.description import RobotDescription
 
 WATCHDOG = 0.1  # without a command for so long, a controller holds its joints [s]
 JUMP = 0.5  # of the first axis' encoder [rad]

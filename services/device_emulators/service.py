@@ -10,12 +10,12 @@ from valor.common.messages import GroundTruth
 from valor.common.pacing import Wall
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
-from valor.common.service import Context, quiet_collector
 from valor.common.topics import GROUND_TRUTH
 from valor.device_emulators.bench import FaultServer
 from valor.device_emulators.emulator import Emulator
 from valor.device_emulators.kinds import make
 from valor.device_emulators.robot import SimulatedRobot
+from valor.service import Context, quiet_collector
 from valor.simulation.push import PushServer
 from valor.simulation.truth import Truth
 

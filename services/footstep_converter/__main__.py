@@ -2,7 +2,7 @@
 
 import sys
 
-from valor.common.service import run
 from valor.footstep_converter.service import FootstepConverter
+from valor.service import run
 
 sys.exit(run("footstep_converter", FootstepConverter))

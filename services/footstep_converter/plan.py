@@ -16,10 +16,10 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutio
 
 from valor.common.errors import ValorError
 from valor.common.messages import Footstep
-from valor.common.motion_tables import Footsteps
 from valor.common.poses import Pose
-from valor.common.robot_tables import Feet
-from valor.common.soles import outline, overlap
+from valor.robot.motion_tables import Footsteps
+from valor.robot.soles import outline, overlap
+from valor.robot.tables import Feet
 
 ODOM = "odom"
 FEET = {Foot.LEFT: "left", Foot.RIGHT: "right"}

@@ -19,7 +19,6 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatu
 
 import bifrost
 from valor.common.messages import FootstepPlanReply, StepStatus
-from valor.common.service import Context
 from valor.common.topics import FOOTSTEP_PLAN
 from valor.common.transforms import TooNewError, TransformError
 from valor.footstep_converter.clients import Clients, Goal
@@ -27,6 +26,7 @@ from valor.footstep_converter.execution import End, Execution, Outcome, aborted,
 from valor.footstep_converter.frames import Frames
 from valor.footstep_converter.motion_system import ANSWER, MotionSystem
 from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, check_size, convert, frame
+from valor.service import Context
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]

@@ -2,7 +2,7 @@
 
 import sys
 
-from valor.common.service import run
 from valor.hdt_bridge.service import HdtBridge
+from valor.service import run
 
 sys.exit(run("hdt_bridge", HdtBridge))

@@ -19,13 +19,13 @@ from valor_msgs.msg import HdtCommand as RosCommand
 from valor_msgs.msg import HdtState as RosState
 
 import bifrost
-from valor.common.devices.table import HdtBifrost
 from valor.common.errors import ConfigurationError
 from valor.common.messages import HdtCommand, HdtState, Statistics
-from valor.common.service import Context, quiet_collector
 from valor.common.topics import STATISTICS, TOPICS
+from valor.devices.table import HdtBifrost
 from valor.hdt_bridge.driver_report import DRIVER, statistics
 from valor.hdt_bridge.twin import Twin
+from valor.service import Context, quiet_collector
 
 LOOK_EVERY = 0.004  # at ROS, which nobody waits for [s]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import can
 
-from valor.common.devices import hdt_bus
-from valor.common.devices.table import HdtLimb
+from valor.devices import hdt_bus
+from valor.devices.table import HdtLimb
 from valor.hdt_driver.limb import Limb
 
 MISSES = 15  # cycles without an answer, after which a segment is silent

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints, segments
-from valor.common.robot import RobotDescription
+from valor.devices.hdt_bus import Fault, SegmentState, Setpoints, segments
+from valor.robot.description import RobotDescription
 
 SILENCE = 0.25  # without a command for so long, the limb stops where it was told to be last [s]
 ENGAGE = 0.15  # a joint that is not led yet takes no set-point farther off than this [rad]

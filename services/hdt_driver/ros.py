@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from valor_msgs.msg import HdtCommand, HdtState
 
 from valor.common.arrays import FloatArray
-from valor.common.devices.hdt_bus import Setpoints
+from valor.devices.hdt_bus import Setpoints
 from valor.hdt_driver.limb import Command, Limb
 
 NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)

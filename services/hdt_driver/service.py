@@ -12,18 +12,18 @@ from types import FrameType
 
 import psutil
 
-from valor.common.devices import hdt_bus
-from valor.common.devices.hdt_bus import Fault
-from valor.common.devices.ports import open_can
-from valor.common.devices.table import HdtBifrost
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
 from valor.common.priority import take_priority
 from valor.common.processes import BY_NAME
-from valor.common.robot import RobotDescription
+from valor.devices import hdt_bus
+from valor.devices.hdt_bus import Fault
+from valor.devices.ports import open_can
+from valor.devices.table import HdtBifrost
 from valor.hdt_driver.bus import ModuleBus
 from valor.hdt_driver.limb import Limb
 from valor.hdt_driver.ros import DriverNode
+from valor.robot.description import RobotDescription
 
 DIAGNOSE_EVERY = 1.0  # and at every change of state [s]
 

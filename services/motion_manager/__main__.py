@@ -2,7 +2,7 @@
 
 import sys
 
-from valor.common.service import run
 from valor.motion_manager.service import MotionManagerService
+from valor.service import run
 
 sys.exit(run("motion_manager", MotionManagerService))

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from valor.common.errors import ConfigurationError
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 
 class Behavior(StrEnum):

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.model import WHOLE_BODY_GROUPS
-from valor.common.robot import RobotDescription
 from valor.motion_manager.joint_reference import Joints
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 from valor.motion_manager.whole_body import WholeBodyCommand
+from valor.robot.description import RobotDescription
+from valor.robot.model import WHOLE_BODY_GROUPS
 
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
 

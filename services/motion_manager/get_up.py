@@ -12,11 +12,11 @@ from math import asin, atan2, degrees, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.get_up_table import FILE, Balance, KeyPose, load
-from valor.common.robot import RobotDescription
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.posture_move import PostureMove
 from valor.motion_manager.whole_body import RobotState
+from valor.robot.description import RobotDescription
+from valor.robot.get_up_table import FILE, Balance, KeyPose, load
 
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
 ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]

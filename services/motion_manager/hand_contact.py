@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
-from valor.common.robot_tables import Hands
+from valor.robot.tables import Hands
 
 
 class HandContacts:

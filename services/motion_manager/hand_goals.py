@@ -19,12 +19,12 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
-from valor.common.model import Model
-from valor.common.motion_tables import HandMotion
 from valor.motion_manager.joint_reference import JointReference, Setpoint
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
+from valor.robot.model import Model
+from valor.robot.motion_tables import HandMotion
 
 SIDES = ("left", "right")
 GRACE = 0.05  # from a goal to its first motion, in which others learn that the arm is led by it [s]

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.joint_reference import Joints
+from valor.robot.description import RobotDescription
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]
 

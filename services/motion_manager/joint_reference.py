@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel
 from valor.motion_manager.limiter import JointLimiter
 from valor.motion_manager.posture_move import PostureMove
+from valor.robot.description import RobotDescription
 
 Joints = npt.NDArray[np.bool_]  # (n,) which ones
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel, clipped
+from valor.robot.description import RobotDescription
 
 VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
 ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]; robots publish no acceleration limits

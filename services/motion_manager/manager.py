@@ -12,8 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from valor.common.messages import MotionState, Motor, Proprioceptor
-from valor.common.model import Model
-from valor.common.robot import RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.behaviors import (
@@ -58,6 +56,8 @@ from valor.motion_manager.whole_body.walking.gait import sole_poses
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
 
 BLEND = 0.3  # over which the Whole-Body Controller takes the joints over [s]
 FAULTS_TO_FALL = 5  # consecutive periods without a believable Proprioceptor, or with an error of ours

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.joint_reference import JointReference
 from valor.motion_manager.posture_move import PostureMove
+from valor.robot.description import RobotDescription
 
 SETTLING = 0.3  # after a move, until the posture counts as reached [s]
 AT_REST = 0.3  # joints slower than this have settled [rad/s]

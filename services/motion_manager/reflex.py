@@ -13,8 +13,6 @@ from math import hypot
 import numpy as np
 
 from valor.common.messages import REFLEX, Motor, Proprioceptor
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import BALANCING, INTERNAL_STATES, Behavior, Locomotion
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.watchdogs import ProprioceptorWatchdog
@@ -25,6 +23,8 @@ from valor.motion_manager.whole_body import (
     UpperBodyReference,
     WholeBodyController,
 )
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
 
 LONGEST = 5.0  # that it drives the robot [s]
 SETTLED = 0.5  # at rest for so long, it is done [s]

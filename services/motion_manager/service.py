@@ -32,10 +32,8 @@ from valor.common.messages import (
     StepStatus,
     VelocityCommand,
 )
-from valor.common.model import controller_model
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
-from valor.common.service import Context, quiet_collector
 from valor.common.topics import (
     BALANCE_WEIGHTS,
     BEHAVIOR,
@@ -58,6 +56,8 @@ from valor.common.trace import Stage
 from valor.motion_manager.custody import ASIDE
 from valor.motion_manager.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
+from valor.robot.model import controller_model
+from valor.service import Context, quiet_collector
 
 COMMANDS_AT_ONCE = 8  # of one topic, between two looks for a Proprioceptor
 COMMANDS_TIME = 2e-4  # likewise, of all topics together; of each that has any, one at least [s]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import acos, degrees
 
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import RobotState
+from valor.robot.description import RobotDescription
 
 UPRIGHT = 0.5  # of the tilt at which the robot counts as falling: at most so much to stand
 FOOT_LOAD = 0.15  # of the robot's weight: at least so much on each foot to stand

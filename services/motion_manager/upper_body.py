@@ -6,9 +6,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import SETPOINT_STATES, Attention, Locomotion, Manipulation, joint_owners
 from valor.motion_manager.joint_reference import JointReference, Joints, Setpoint
+from valor.robot.description import RobotDescription
 
 SILENCE = 0.2  # without set-points for so long, joints that followed them stop [s]
 DWELL = 0.3  # slaved arms stay so long before they go home, so that a pair of commands can resolve [s]

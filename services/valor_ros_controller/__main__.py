@@ -2,7 +2,7 @@
 
 import sys
 
-from valor.common.service import run
+from valor.service import run
 from valor.valor_ros_controller.service import ValorRosController
 
 sys.exit(run("valor_ros_controller", ValorRosController))

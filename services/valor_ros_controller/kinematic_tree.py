@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 
 from valor.common.errors import ConfigurationError
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
@@ -82,7 +82,7 @@ def read(robot: RobotDescription) -> KinematicTree:
     """
     import mujoco
 
-    from valor.common.model import full_model
+    from valor.robot.model import full_model
     from valor.valor_ros_controller.urdf import robot_description
 
     mj = full_model(robot, "all").mj

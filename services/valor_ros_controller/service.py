@@ -15,8 +15,8 @@ from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterDescriptor
 
 from valor.common.processes import PROCESSES
-from valor.common.service import Context, quiet_collector
 from valor.common.trace import Stage
+from valor.service import Context, quiet_collector
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import Joint
+from valor.robot.description import RobotDescription
+from valor.robot.tables import Joint
 
 if TYPE_CHECKING:
     from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link

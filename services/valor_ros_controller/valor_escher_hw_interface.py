@@ -12,7 +12,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState, Proprioceptor
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 
 PELVIS = "pelvis"

@@ -14,7 +14,7 @@ DATES = {
     "services/bag_recorder/clock.py": "dates of recordings",
     "services/bag_recorder/housekeeper.py": "ages of recordings, from one look at the clock",
     "services/bag_recorder/shelf.py": "names of recordings",
-    "valor/common/recordings.py": "ages of recordings",
+    "valor/bags/recordings.py": "ages of recordings",
     "valor/valorctl/recording_list.py": "ages of recordings",
     "valor/valorctl/recording_report.py": "ages of recordings",
     "valor/valorctl/log_view.py": "since when logs are shown",

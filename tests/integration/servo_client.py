@@ -14,8 +14,8 @@ import numpy as np
 import bifrost
 from valor.common.instance import Instance
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.common.topics import MOTOR, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 
 class ServoClient:

@@ -29,11 +29,11 @@ from vigir_humanoid_control_msgs.msg import ControlModeStatus
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from tests.system import RosClient
 from valor.common.messages import GroundTruth, MotionState, PushReply, PushRequest, StepStatus
-from valor.common.model import full_model
 from valor.common.poses import Pose
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
 from valor.common.transforms import TransformBuffer, TransformError
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.valorctl.step_plan import FEET, PlanStep
 from valor.valorctl.step_planner import middle
 

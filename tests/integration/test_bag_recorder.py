@@ -42,13 +42,13 @@ from valor.bag_recorder.bifrost_tap import QUEUE, BifrostTap
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.last_seconds import AFTER_FALL
-from valor.common import recordings, rosbag2_metadata
-from valor.common.bag_recovery import recover
+from valor.bags import recordings, rosbag2_metadata
+from valor.bags.recovery import recover
+from valor.common.bounds import Bounds
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Recording
 from valor.common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.retention import Bounds
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
 from valor.valorctl import bag_player, recording_list, recording_report
 from valor.valorctl.ros_domain import DOMAINS

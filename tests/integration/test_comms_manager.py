@@ -28,9 +28,9 @@ from valor.common.messages import (
     Statistics,
 )
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.robot import RobotDescription
 from valor.common.topics import CLOCK, COMMS_MANAGER_STATISTICS, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, Topic
 from valor.comms_manager.simulation.clock import BACKLOG
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(REPOSITORY / "robots" / "escher")
 WEIGHT = 75.9 * 9.81

@@ -24,8 +24,8 @@ from tests.system import RosClient, System, leftovers, running, shared_memory
 from valor.analysis.results import Result
 from valor.common.instance import Instance
 from valor.common.messages import GroundTruth, MotionState, Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 from valor.valorctl import demonstration
 from valor.valorctl.console import Progress
 from valor.valorctl.experiments.experiment import Options

@@ -14,8 +14,8 @@ from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
 from valor.common.messages import FaultReply, FaultRequest, GroundTruth, Proprioceptor
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.robot import RobotDescription
 from valor.common.topics import FAULT, GROUND_TRUTH, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 UPRIGHT = 0.7  # of the pelvis: lower, it has fallen [m]
 

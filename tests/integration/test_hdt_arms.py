@@ -19,12 +19,12 @@ import bifrost
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from valor.common.arrays import FloatArray
 from valor.common.messages import FaultReply, FaultRequest, HdtCommand, HdtState, JointMode
-from valor.common.robot import RobotDescription
 from valor.common.topics import FAULT
 from valor.comms_manager.hardware.device import Device, DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.hdt import Hdt
 from valor.comms_manager.hardware.rejoin import SPEED
 from valor.comms_manager.hardware.series_elastic import SeriesElastic
+from valor.robot.description import RobotDescription
 
 PATIENCE = 60.0  # [s]
 JUMP = 0.08  # more between two states than the joint's speed explains [rad]; noise and play are less

@@ -32,7 +32,6 @@ from valor.common.messages import (
     Statistics,
     VelocityCommand,
 )
-from valor.common.robot import RobotDescription
 from valor.common.topics import (
     BEHAVIOR,
     FOOTSTEP_PLAN,
@@ -48,6 +47,7 @@ from valor.common.topics import (
     VELOCITY,
 )
 from valor.motion_manager.behaviors import Behavior
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = ROBOT.tables.groups["right_arm"]

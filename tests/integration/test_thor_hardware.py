@@ -10,10 +10,10 @@ import pytest
 
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
-from valor.common.devices.table import Dynamixel
 from valor.common.messages import FaultReply, FaultRequest, JointSetpoints, Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.common.topics import FAULT, JOINT_SETPOINTS, PROPRIOCEPTOR
+from valor.devices.table import Dynamixel
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "thor")
 SPEED = 1.0  # of what is commanded [rad/s]

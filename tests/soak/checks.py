@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.rules import lawful
-from valor.common.bag_index import BagError
-from valor.common.bag_recovery import recover
+from valor.bags.index import BagError
+from valor.bags.recovery import recover
 from valor.common.messages import REFLEX, MotionState, Motor
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
+from valor.robot.description import RobotDescription
 
 ROUNDING = 1e-9  # of a limit [rad, N·m]
 KEPT = 1000  # Motors whose behavior is remembered until their MotionState comes

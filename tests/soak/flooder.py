@@ -12,8 +12,8 @@ import bifrost
 from valor.common import membership
 from valor.common.instance import Instance
 from valor.common.messages import JointSetpoints
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS
+from valor.robot.description import RobotDescription
 
 PATIENCE = 20.0  # until all subscribers have connected [s]
 

@@ -24,8 +24,8 @@ from valor.common.messages import (
     Proprioceptor,
     Statistics,
 )
-from valor.common.robot import RobotDescription
 from valor.common.topics import CONTROL_MODE, DEVICES, GROUND_TRUTH, MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
+from valor.robot.description import RobotDescription
 
 QUEUE = 20_000  # messages that a busy computer may leave here unread
 _TURN = 0.02  # between looks [s]

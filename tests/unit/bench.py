@@ -12,12 +12,12 @@ import numpy as np
 
 from tests.conftest import PATIENCE, wait_until
 from valor.common.instance import Instance, Settings
-from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware import kinds as drivers
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault
 from valor.device_emulators import kinds as emulators
 from valor.device_emulators.emulator import EmulatedFault, Emulator
 from valor.device_emulators.robot import SimulatedRobot
+from valor.robot.description import RobotDescription
 from valor.valorctl.ros_domain import reserve_for
 
 UNSOUND = (EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE)

@@ -9,10 +9,10 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import BehaviorRequest, Motor
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import MotionManager
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 

@@ -18,8 +18,8 @@ from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest
 from valor.common.messages import JointSetpoints, MotionState, Motor, Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 

@@ -16,8 +16,8 @@ from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording
 from valor.analysis.timeline import Motion, Timeline
 from valor.common.arrays import FloatArray
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 ARM = ROBOT.tables.groups["right_arm"]

@@ -11,7 +11,7 @@ from tests import pathway_bag as known
 from valor.analysis import pathway_plots
 from valor.analysis.bag import Bag
 from valor.analysis.pathways import Latencies
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 

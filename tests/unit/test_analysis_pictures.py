@@ -16,7 +16,7 @@ from tests.conftest import REPOSITORY
 from valor.analysis import pictures, plots
 from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 
@@ -71,7 +71,7 @@ def test_without_opengl_the_error_says_what_to_install(bag: Bag, tmp_path: Path)
     program = (
         "import sys; from pathlib import Path\n"
         "from valor.analysis import pictures; from valor.analysis.errors import RenderingError\n"
-        "from valor.common.robot import RobotDescription\n"
+        "from valor.robot.description import RobotDescription\n"
         "robot = RobotDescription.load(Path(sys.argv[2]))\n"
         "try: pictures.render_before_after(Path(sys.argv[1]), robot, Path(sys.argv[3]))\n"
         "except RenderingError as error: print(error)\n"

@@ -26,7 +26,7 @@ from valor.analysis.recording import Recording
 from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.analysis.style import figure, save
 from valor.analysis.timeline import Motion, Timeline
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 

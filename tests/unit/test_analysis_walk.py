@@ -20,8 +20,8 @@ from valor.analysis.recording import Recording
 from valor.analysis.walk import MOVING, SHORTEST_PRINT, WALKING, Figures, Timeliness, Track, _stands, footprints
 from valor.common.arrays import FloatArray
 from valor.common.messages import ClockStatus, GroundTruth, MotionState
-from valor.common.model import full_model
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.model import full_model
 
 PERIOD = 0.01  # of the truth [s]
 

@@ -25,7 +25,7 @@ from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.common.messages import Motor
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl.__main__ import run as main
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")

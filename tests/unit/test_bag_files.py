@@ -10,7 +10,7 @@ from hypothesis import given
 from mcap.writer import Writer
 
 from tests.conftest import examples
-from valor.common.bag_files import BEGINNING, LIBRARY, PROFILE, origin
+from valor.bags.files import BEGINNING, LIBRARY, PROFILE, origin
 
 TEXTS = st.dictionaries(st.text(max_size=20), st.text(max_size=20), max_size=5)
 

@@ -12,9 +12,9 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.common import rosbag2_metadata
-from valor.common.bag_files import is_own_folder, origin
-from valor.common.bag_index import EVENT, BagError, read_index
+from valor.bags import rosbag2_metadata
+from valor.bags.files import is_own_folder, origin
+from valor.bags.index import EVENT, BagError, read_index
 from valor.common.errors import ValorError
 from valor.valorctl.bag_summary import summarize
 

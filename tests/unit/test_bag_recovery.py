@@ -17,8 +17,8 @@ from rosbags.rosbag2 import Reader
 from tests.conftest import examples
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.definitions import definition
-from valor.common.bag_index import BagError
-from valor.common.bag_recovery import recover
+from valor.bags.index import BagError
+from valor.bags.recovery import recover
 
 TOPICS = [
     RecordedTopic(f"/{name}", f"std_msgs/msg/{name}", definition(f"std_msgs/msg/{name}"))

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valor.bag_recorder.tally import Count, Tally, table
+from valor.bags.selection import EVERYTHING, Selection
+from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Recording
-from valor.common.retention import Bounds
-from valor.common.selection import EVERYTHING, Selection
 from valor.valorctl.recording_options import bounds, recording
 
 

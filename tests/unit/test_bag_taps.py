@@ -22,8 +22,8 @@ from valor.bag_recorder.bag import SHARE, Bag
 from valor.bag_recorder.bifrost_tap import BifrostTap
 from valor.bag_recorder.clock import WallClock, measure_offset
 from valor.bag_recorder.ros_tap import RosTap
+from valor.bags.selection import EVERYTHING
 from valor.common.messages import VelocityCommand
-from valor.common.selection import EVERYTHING
 from valor.common.topics import VELOCITY
 
 HOUR = 3_600_000_000_000  # [ns]

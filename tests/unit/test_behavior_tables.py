@@ -9,7 +9,6 @@ import msgspec
 import pytest
 
 from valor.common.errors import ConfigurationError
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
@@ -25,6 +24,7 @@ from valor.motion_manager.behaviors import (
     Manipulation,
     joint_owners,
 )
+from valor.robot.description import RobotDescription
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 

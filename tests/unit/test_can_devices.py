@@ -14,11 +14,11 @@ from msgspec.structs import replace
 from tests.conftest import ROBOTS
 from tests.unit.bench import UNSOUND, Bench
 from valor.common.messages import JointMode
-from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware.can_device import CanDevice
 from valor.comms_manager.hardware.device import DeviceError, Fault, JointCommands, JointMeasurement, WrenchMeasurement
 from valor.comms_manager.hardware.faults import DeviceWatch
 from valor.device_emulators.emulator import EmulatedFault, NoSuchFaultError
+from valor.robot.description import RobotDescription
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 ROBOT = RobotDescription(ESCHER.folder, replace(ESCHER.tables, control_rate=250.0))

@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import AXES, COMMAND_TYPE, Code, Identity, Status
-from valor.common.devices.end_to_end import is_sound, protect
+from valor.devices import can_frames
+from valor.devices.can_frames import AXES, COMMAND_TYPE, Code, Identity, Status
+from valor.devices.end_to_end import is_sound, protect
 
 units = st.integers(1, 63)
 floats = st.floats(width=32, allow_nan=False, allow_infinity=False)

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import REPOSITORY, ROBOTS, examples
-from valor.common import resources, robot_checks, robot_rules
+from valor.common import resources
 from valor.common.errors import ConfigurationError
-from valor.common.robot import RobotDescription
+from valor.robot import checks, rules
+from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup
 from valor.valorctl.instance_setup import Request
 
@@ -367,7 +368,7 @@ def test_the_documentation_has_every_check() -> None:
     text = (REPOSITORY / "docs" / "adding-a-robot.md").read_text()
     listed = re.findall(r"^- (.+)$", text.partition("## What `up` refuses")[2].partition("## Check")[0], re.MULTILINE)
     assert listed == [
-        (each.__doc__ or "").splitlines()[0].replace("``", "`") for each in (*robot_rules.RULES, *robot_checks.CHECKS)
+        (each.__doc__ or "").splitlines()[0].replace("``", "`") for each in (*rules.RULES, *checks.CHECKS)
     ]
 
 
@@ -395,6 +396,6 @@ def test_whatever_is_changed_is_taken_or_refused(tmp_path_factory: pytest.TempPa
     (folder / "model.xml").symlink_to(ESCHER / "model.xml")
     (folder / "robot.yaml").write_text("".join(lines))
     try:
-        robot_checks.require_sound(RobotDescription.load(folder))
+        checks.require_sound(RobotDescription.load(folder))
     except ConfigurationError as error:
         assert "\n" not in str(error)

@@ -16,12 +16,12 @@ from tests.conftest import ROBOTS, wait_until
 from tests.unit.bench import UNSOUND, Bench, ailing, sound
 from valor.common.errors import ConfigurationError
 from valor.common.messages import JointMode
-from valor.common.robot import RobotDescription
 from valor.common.table import checked, plain
 from valor.comms_manager.hardware.device import Device, DeviceError, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.dynamixel_port import Answer
 from valor.comms_manager.hardware.dynamixel_servo import Servo
 from valor.device_emulators.emulator import EmulatedFault
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 YAW, PITCH, LIDAR = range(3)

@@ -13,7 +13,7 @@ from tests.unit.test_analysis_end_effector import NOMINAL, REACH, ROBOT, swaying
 from valor.analysis.results import Result
 from valor.analysis.timeline import Motion, Timeline
 from valor.common.instance import Instance
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl.console import Progress
 from valor.valorctl.experiments import arm_session
 from valor.valorctl.experiments.experiment import Options, Run

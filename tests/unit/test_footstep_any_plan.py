@@ -22,10 +22,10 @@ from tests.conftest import examples
 from tests.unit.test_footstep_plan import LIMITS, MOVE, REACH, ROBOT, make_plan, plans
 from tests.unit.test_motion_manager_footsteps import Bench
 from valor.common.messages import Footstep
-from valor.common.soles import outline, overlap
 from valor.footstep_converter.plan import PlanError, PlannedStep, RunningPlan, convert, frame
 from valor.motion_manager.whole_body.walking import footsteps
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.soles import outline, overlap
 
 S = FootstepExecutionStatus
 INDICES, INVALID, INCONSISTENT = S.ERR_INVALID_INCONSISTENT_INDICES, S.ERR_INVALID_PLAN, S.ERR_INCONSISTENT_STEP_PLAN

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
-from valor.common.motion_tables import Footsteps
 from valor.common.poses import Pose, level
-from valor.common.robot import RobotDescription
-from valor.common.soles import outline, overlap
 from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
+from valor.robot.description import RobotDescription
+from valor.robot.motion_tables import Footsteps
+from valor.robot.soles import outline, overlap
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 assert ROBOT.tables.footsteps is not None

@@ -11,9 +11,6 @@ import pytest
 from msgspec import structs
 
 from tests.conftest import ROBOTS
-from valor.common.get_up_table import FILE
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
 from valor.common.table import read
 from valor.motion_manager.get_up import GetUp
 from valor.planning import plan_table
@@ -22,6 +19,9 @@ from valor.planning.check import check
 from valor.planning.key_poses import NoSolutionFound, find, posture_of
 from valor.planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
 from valor.planning.posture import BASE, SagittalPosture
+from valor.robot.description import RobotDescription
+from valor.robot.get_up_table import FILE
+from valor.robot.model import full_model
 
 ESCHER, THOR = (RobotDescription.load(ROBOTS / name) for name in ("escher", "thor"))
 PLAN = read(GetUpPlan, ROBOTS / "escher" / plan_table.FILE)

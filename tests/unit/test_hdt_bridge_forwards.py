@@ -23,9 +23,9 @@ from tests.conftest import RunningInstance, wait_until
 from tests.unit.test_hdt_bridge import diagnostics, same
 from valor.common.errors import ConfigurationError
 from valor.common.messages import HdtCommand, HdtState, Statistics
-from valor.common.service import Context
 from valor.common.topics import STATISTICS
 from valor.hdt_bridge.service import HdtBridge
+from valor.service import Context
 
 PATIENCE = 20.0  # [s]
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

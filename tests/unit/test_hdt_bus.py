@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valor.common.arrays import FloatArray
-from valor.common.devices import hdt_bus
-from valor.common.devices.hdt_bus import SegmentState, Setpoints
+from valor.devices import hdt_bus
+from valor.devices.hdt_bus import SegmentState, Setpoints
 
 RESOLUTION = {"position": 0.5e-6, "velocity": 0.5e-3, "effort": 0.5e-2, "stiffness": 0.05, "damping": 0.005}
 CARRIED = {

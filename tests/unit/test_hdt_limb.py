@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
-from valor.common.devices.hdt_bus import Fault, SegmentState, Setpoints
-from valor.common.robot import RobotDescription
+from valor.devices.hdt_bus import Fault, SegmentState, Setpoints
 from valor.hdt_driver.limb import ENGAGE, JUMP, SILENCE, Command, Limb
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = "right_arm"

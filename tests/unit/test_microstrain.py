@@ -14,10 +14,10 @@ from msgspec.structs import replace
 
 from tests.conftest import ROBOTS, wait_until
 from tests.unit.bench import UNSOUND, Bench, ailing, sound
-from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
 from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.device_emulators.emulator import EmulatedFault
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

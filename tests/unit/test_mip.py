@@ -10,7 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.common.devices.mip import (
+from valor.comms_manager.hardware.mip import Packet, PacketStream, checksum, encode
+from valor.device_emulators import mip_sensor
+from valor.device_emulators.mip_sensor import Attitude, MipSensor
+from valor.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
     FORMAT_ENTRY,
@@ -26,9 +29,6 @@ from valor.common.devices.mip import (
     Stream,
     ThreeDm,
 )
-from valor.comms_manager.hardware.mip import Packet, PacketStream, checksum, encode
-from valor.device_emulators import mip_sensor
-from valor.device_emulators.mip_sensor import Attitude, MipSensor
 
 FIELDS = st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), min_size=1, max_size=6)
 PACKETS = st.builds(lambda s, fields: Packet(s, tuple(fields)), st.integers(0, 255), FIELDS)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from tests.conftest import ROBOTS, examples
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import RobotDescription
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)

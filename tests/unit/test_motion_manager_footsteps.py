@@ -7,7 +7,6 @@ import pytest
 
 from tests.conftest import ROBOTS
 from valor.common.messages import Footstep, FootstepPlanRequest, StepStatus
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
@@ -15,6 +14,7 @@ from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

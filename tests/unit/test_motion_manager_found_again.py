@@ -7,9 +7,9 @@ import pytest
 
 from tests.unit.whole_body.closed_loop import load_robot
 from valor.common.messages import BehaviorRequest
-from valor.common.model import controller_model
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import MotionManager
+from valor.robot.model import controller_model
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
 from valor.motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
 from valor.motion_manager.posture_move import PostureMove
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)

@@ -22,11 +22,11 @@ from valor.common.messages import (
     Proprioceptor,
     VelocityCommand,
 )
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)

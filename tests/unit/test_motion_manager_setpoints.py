@@ -12,8 +12,6 @@ from tests.conftest import ROBOTS, examples
 from tests.unit.test_motion_manager_limiter import Watch
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointSetpoints
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import Attention, Behavior, Manipulation
@@ -22,6 +20,8 @@ from valor.motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSet
 from valor.motion_manager.joint_reference import JointReference
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.upper_body import DWELL, SILENCE, UpperBody
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)

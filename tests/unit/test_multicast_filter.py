@@ -9,10 +9,10 @@ from pathlib import Path
 import can
 import pytest
 
-from valor.common.devices import can_frames, hdt_bus
-from valor.common.devices.can_frames import Code
-from valor.common.devices.ports import open_can
 from valor.common.instance import Settings
+from valor.devices import can_frames, hdt_bus
+from valor.devices.can_frames import Code
+from valor.devices.ports import open_can
 
 BUS = 7  # that no robot has
 PATIENCE = 5.0  # [s]

@@ -10,9 +10,9 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.common import recordings, rosbag2_metadata
+from valor.bags import recordings, rosbag2_metadata
+from valor.common.bounds import UNBOUNDED, Bounds
 from valor.common.errors import ConfigurationError
-from valor.common.retention import UNBOUNDED, Bounds
 
 WORDS = RecordedTopic("/words", "std_msgs/msg/String", "string data")
 LEAST = Bounds(age=None, size=8 << 20, share=None)

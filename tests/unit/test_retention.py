@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.common.retention import DAY, PIECES, RESERVE, UNBOUNDED, Bounds, Disk, Piece, surplus
+from valor.bags.retention import RESERVE, Disk, Piece, surplus
+from valor.common.bounds import DAY, PIECES, UNBOUNDED, Bounds
 from valor.common.table import TableError, checked
 
 NOW = 1_800_000_000.0

@@ -20,8 +20,8 @@ from tests.unit.test_robots import ALL, configuration, forward
 from tests.unit.test_robots import FULL as FULL_MODELS
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.common.model import controller_model, full_model
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model, full_model
 
 ESCHER = ROBOTS / "escher"
 ROBOT = ALL["escher"]

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from valor.common.devices.table import SeaCanFd
 from valor.common.instance import Settings
 from valor.common.messages import JointMode
-from valor.common.robot import RobotDescription
 from valor.device_emulators.robot import LONGEST, PATIENCE, STALENESS, SimulatedRobot
+from valor.devices.table import SeaCanFd
+from valor.robot.description import RobotDescription
 
 DESCRIPTION = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher", 250.0)
 STALE = STALENESS * DESCRIPTION.control_period  # [s]

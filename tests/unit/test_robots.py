@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
 from valor.common.arrays import FloatArray
-from valor.common.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
 
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}
 FULL = {name: full_model(robot, "collision") for name, robot in ALL.items()}

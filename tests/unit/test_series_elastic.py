@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from valor.common.arrays import FloatArray
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Status
-from valor.common.devices.end_to_end import protect
-from valor.common.devices.table import SeaCanFd
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
+from valor.devices import can_frames
+from valor.devices.can_frames import Status
+from valor.devices.end_to_end import protect
+from valor.devices.table import SeaCanFd
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
 TABLE = ROBOT.tables.devices["legs"]

@@ -15,9 +15,9 @@ from hypothesis.extra.numpy import arrays
 from tests.conftest import examples
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import ActuatorProfile, Gear, RobotTables
 from valor.common.table import checked, plain
+from valor.robot.description import RobotDescription
+from valor.robot.tables import ActuatorProfile, Gear, RobotTables
 from valor.simulation.actuators import Actuators
 from valor.simulation.gears import Gears
 

@@ -10,9 +10,9 @@ import pytest
 
 from valor.common.errors import ConfigurationError
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import SensorNoise
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
+from valor.robot.tables import SensorNoise
 from valor.simulation.gears import Gears
 from valor.simulation.plant import Plant, SimulationDivergedError, scene
 from valor.simulation.sensors import Sensors

@@ -15,8 +15,8 @@ from tests.conftest import ROBOTS
 from tests.soak import checks, rules
 from tests.unit.motion_states import motion_state
 from valor.common.messages import Motor
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, OPERATIONAL, RESUMED, Behavior
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

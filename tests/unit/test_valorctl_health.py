@@ -8,7 +8,7 @@ import pytest
 
 from valor.common.errors import ValorError
 from valor.common.resources import robot_folder
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl.arm_motion import SIDES, Limb, preset, trajectory_duration
 from valor.valorctl.health import SILENCE, START_GRACE, Word, judge
 from valor.valorctl.supervision import ProcessInfo, ProcessState, count_restarts, last_end

@@ -18,8 +18,8 @@ from bifrost import cli
 from tests.conftest import ROBOTS
 from valor.common.instance import Instance, Settings
 from valor.common.resources import profiles, robots
-from valor.common.world_names import WORLD_NAMES
-from valor.common.worlds import WORLDS
+from valor.simulation.world_names import WORLD_NAMES
+from valor.simulation.worlds import WORLDS
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valorctl import mode_names
 from valor.valorctl.app import MOUNTED, app

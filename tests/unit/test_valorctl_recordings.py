@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from tests.conftest import ROBOTS
 from tests.unit.test_recordings import DAY1, DAY2, DAY3, record
 from valor.bag_recorder.bag import Bag
-from valor.common import recordings
+from valor.bags import recordings
+from valor.common.bounds import UNBOUNDED, Bounds
 from valor.common.instance import Instance, Recording, Settings
-from valor.common.retention import UNBOUNDED, Bounds
 from valor.valorctl import recording_report
 from valor.valorctl.app import app
 from valor.valorctl.checks import CHECKS

@@ -16,7 +16,7 @@ from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, PROCESSES, Process
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup, supervisor_config
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.profile import Profile

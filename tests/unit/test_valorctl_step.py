@@ -13,8 +13,8 @@ from vigir_footstep_planning_msgs.msg import Step, StepPlan
 from tests.conftest import REPOSITORY, ROBOTS
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.poses import Pose, level
-from valor.common.robot import RobotDescription
 from valor.footstep_converter.plan import Limits, convert
+from valor.robot.description import RobotDescription
 from valor.valorctl import step_picture
 from valor.valorctl.step_plan import FEET, PlanStep, load
 from valor.valorctl.step_planner import middle, plan_to

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
 from valor.common.errors import ValorError
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl.steering import SIDEWAYS, TURNING, Line
 from valor.valorctl.walking import Order, _Run
 

@@ -7,8 +7,8 @@ import yaml
 
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, Behavior
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP

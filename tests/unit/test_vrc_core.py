@@ -26,9 +26,9 @@ from tests.unit.test_vrc_urdf import NAMES
 from tests.unit.vrc_in_process import System
 from valor.common.errors import ConfigurationError
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
 from valor.common.topics import BEHAVIOR, MOTION_STATE, STOP, ServiceTopic
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable

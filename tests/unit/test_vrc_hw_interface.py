@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import examples
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, JointClaimError, ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")

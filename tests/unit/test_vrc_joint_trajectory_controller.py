@@ -10,7 +10,7 @@ import pytest
 
 from tests.unit import motion_states
 from valor.common.messages import MotionState
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     JointTrajectoryController,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from valor.common.errors import ConfigurationError
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 from valor.valor_ros_controller.ros.transforms import LinkTransforms, multiply, rotate

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
 from valor.common.messages import MotionState, Proprioceptor
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.publisher import PUBLICATIONS, Publisher
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.valor_ros_controller.kinematic_tree import KinematicTree, read
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"

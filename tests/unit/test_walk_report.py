@@ -17,7 +17,7 @@ from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Figures, Timeliness, Track, knees
 from valor.analysis.walk_report import WalkReport
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 COUNT = 400  # control periods

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROBOTS
-from valor.common import worlds
 from valor.common.errors import ConfigurationError
-from valor.common.robot import RobotDescription
-from valor.common.worlds.dirt import Dirt
-from valor.common.worlds.stairs import Stairs
+from valor.robot.description import RobotDescription
+from valor.simulation import worlds
 from valor.simulation.plant import Plant
+from valor.simulation.worlds.dirt import Dirt
+from valor.simulation.worlds.stairs import Stairs
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 DIRT = worlds.WORLDS["dirt"]

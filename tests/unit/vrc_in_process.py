@@ -19,8 +19,6 @@ from tests.unit.motion_states import motion_state
 from valor.common import topics
 from valor.common.arrays import FloatArray
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
 from valor.motion_manager.hand_goals import HandGoals
@@ -31,6 +29,8 @@ from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.upper_body import UpperBody
 from valor.motion_manager.whole_body.pelvis import pelvis_limits
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable

@@ -15,9 +15,9 @@ from bifrost import Received
 from tests.unit.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.messages import VelocityCommand
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.reflex import BalanceReflex
+from valor.robot.description import RobotDescription
 
 HELD = 3.0  # afterwards, by the joints' servos: who falls does so within it [s]
 STILL = 0.01  # the pelvis [m/s, rad/s]

@@ -18,7 +18,7 @@ from valor.analysis.errors import BagError
 from valor.analysis.flat import Flattener, Shape
 from valor.analysis.ros_types import Types
 from valor.analysis.stored import Condition, StoredBag, StoredTopic
-from valor.common.selection import Selection
+from valor.bags.selection import Selection
 
 TIME = "log_time_ns"
 MOST_NOTICES = 100

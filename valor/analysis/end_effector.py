@@ -21,9 +21,9 @@ from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest
 from valor.analysis.timeline import Motion, Timeline
 from valor.common.arrays import FloatArray
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 
 RATE = 100.0  # of the poses [Hz]
 

@@ -29,8 +29,8 @@ from valor.analysis.lag import lag
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.analysis.signals import Signal
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 CONTROLLER = "/trajectory_controllers/right_arm_traj_controller"
 REFERENCE, VEC = f"{CONTROLLER}/joint_trajectory", f"{CONTROLLER}/controller_state"

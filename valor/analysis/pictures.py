@@ -12,8 +12,8 @@ from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Posture, Recording
 from valor.analysis.scene import Scene
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 PANEL = (760, 960)  # width, height [pixels]
 _HEADER, _DPI = 96, 100  # [pixels], [pixels/inch]

@@ -17,8 +17,8 @@ from valor.analysis.bands import bands_of
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 MARGIN = 1.0  # shown before and after the arms are free [s]
 STILL = 0.002  # slower than this a set-point is at rest [rad/s]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from valor.analysis.bag import Bag, Series
 from valor.analysis.errors import BagError
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
+from valor.robot.description import RobotDescription
 
 
 def recorded(topic: Topic) -> str:

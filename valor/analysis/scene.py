@@ -7,10 +7,10 @@ import numpy as np
 
 from valor.analysis.offscreen import Image, Offscreen
 from valor.analysis.recording import Posture
-from valor.common import worlds
 from valor.common.arrays import FloatArray
-from valor.common.model import Model, robot_spec
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model, robot_spec
+from valor.simulation import worlds
 
 _EXTENT = 2.0  # of what is looked at, whatever the world's: haze, shadows and clipping follow it [m]
 _SUN = (2.5, -1.7, 3.5)  # from where it shines, seen from below the point looked at [m]

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from valor.analysis.walk import Track
 from valor.common.messages import MotionState, Proprioceptor
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 _PIECE = 2000  # states that are kept as messages
 _LATE = 200  # of them may still wait for the measurement that they answer

@@ -14,9 +14,9 @@ from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.common.arrays import FloatArray
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 
 MOVING = 0.05  # slower than this for good, the walk is over [m/s]
 WALKING = ("walk", "walk_manipulate", "step", "step_manipulate")

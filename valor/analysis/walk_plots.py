@@ -18,11 +18,11 @@ from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording, nearest
 from valor.analysis.scene import Scene
 from valor.analysis.walk import Figures, Footprint, Track, footprints
-from valor.common import worlds
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import Foot
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE
+from valor.robot.description import RobotDescription
+from valor.robot.tables import Foot
+from valor.simulation import worlds
 
 STRIP = 16.0  # of the ground, shown in one row [m]
 MARGIN = 1.0  # around the path [m]

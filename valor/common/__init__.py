@@ -1,4 +1,4 @@
-"""What the services share: messages, topics, processes, the robot description, the instance and the clock.
+"""What everything else stands on: messages, topics, processes, the instance, files and tables.
 
 Free of ROS: the Motion System imports it.
 """

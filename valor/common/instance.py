@@ -14,9 +14,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, field
 
+from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError
 from valor.common.resources import middleware_profile
-from valor.common.retention import Bounds
 from valor.common.table import Table, checked, plain
 
 DEFAULT_NAME = "default"

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from valor.common.errors import ConfigurationError, ValorError
-from valor.common.model import full_model
-from valor.common.robot import RobotDescription
 from valor.common.table import read
 from valor.planning import plan_table, table
 from valor.planning.check import check
 from valor.planning.key_poses import KeyPose, find, posture_of
 from valor.planning.posture import BASE
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 
 
 def main() -> int:

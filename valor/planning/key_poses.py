@@ -20,9 +20,9 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError, ValorError
-from valor.common.model import Model
 from valor.planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
 from valor.planning.posture import BASE, Expression, SagittalPosture, twin
+from valor.robot.model import Model
 
 TORQUE_COST, FORCE_COST, NEAR_COST = 0.02, 0.02, 1.0  # of shares of the limits, of the weight, of rad; squared
 PENETRATION = 0.002  # of shapes that do not carry, into the floor [m]: what a soft contact lets in

@@ -17,7 +17,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.common.model import Model
+from valor.robot.model import Model
 
 Expression = Any  # casadi.SX; the library is not typed
 BASE = 3  # coordinates of the pelvis: x [m], z [m], pitch [rad]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from valor.common.robot import RobotDescription
 from valor.planning.key_poses import KeyPose
 from valor.planning.plan_table import GetUpPlan
 from valor.planning.posture import SagittalPosture
+from valor.robot.description import RobotDescription
 
 FILE = "get_up.yaml"  # in the robot's folder
 _HEAD = """\

@@ -10,8 +10,8 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import ActuatorProfile
+from valor.robot.description import RobotDescription
+from valor.robot.tables import ActuatorProfile
 from valor.simulation.gears import Gears
 
 

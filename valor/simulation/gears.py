@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import ActuatorProfile, Gear
+from valor.robot.description import RobotDescription
+from valor.robot.tables import ActuatorProfile, Gear
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ import logging
 import mujoco
 import numpy as np
 
-from valor.common import worlds
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError, ValorError
-from valor.common.model import Model, Shapes, robot_spec
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model, Shapes, robot_spec
+from valor.simulation import worlds
 from valor.simulation.actuators import Actuators
 from valor.simulation.gears import Gears
 

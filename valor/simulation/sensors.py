@@ -8,8 +8,8 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import SensorNoise
+from valor.robot.description import RobotDescription
+from valor.robot.tables import SensorNoise
 from valor.simulation.plant import Plant
 
 BATTERY_VOLTAGE = 48.0  # the simulated battery does not drain [V]

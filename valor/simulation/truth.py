@@ -7,7 +7,7 @@ import numpy as np
 
 import bifrost
 from valor.common.messages import GroundTruth
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 
 

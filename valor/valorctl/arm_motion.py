@@ -11,8 +11,8 @@ import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)

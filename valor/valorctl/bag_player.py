@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from valor.analysis.stored import StoredBag, StoredTopic
+from valor.bags.selection import Selection
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.selection import Selection
 from valor.valorctl import ros_domain
 
 DEPTH = 100

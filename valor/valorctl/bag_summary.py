@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from valor.common.bag_files import SUFFIX
-from valor.common.bag_index import BagError, BagIndex, read_index
+from valor.bags.files import SUFFIX
+from valor.bags.index import BagError, BagIndex, read_index
 from valor.common.errors import ValorError
 
 

@@ -55,7 +55,7 @@ def plans(incomplete: str) -> Iterable[str]:
 @_named
 def worlds(incomplete: str) -> Iterable[str]:
     """For ``--world``."""
-    from valor.common.world_names import WORLD_NAMES
+    from valor.simulation.world_names import WORLD_NAMES
 
     return _begun(incomplete, WORLD_NAMES)
 

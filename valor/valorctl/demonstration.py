@@ -8,10 +8,10 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from valor.common import worlds
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.worlds.dirt import Dirt
+from valor.simulation import worlds
+from valor.simulation.worlds.dirt import Dirt
 from valor.valorctl import instance_setup, shutdown, startup, walking
 from valor.valorctl.console import Progress, bar, say
 from valor.valorctl.interruption import InterruptedBySignalError, Interruption

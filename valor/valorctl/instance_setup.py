@@ -14,15 +14,16 @@ from pathlib import Path
 import msgspec
 
 import bifrost
-from valor.common import membership, recordings, whole_file
+from valor.bags import recordings
+from valor.common import membership, whole_file
+from valor.common.bounds import Bounds
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import ClockMode, Instance, Recording, RosCommands, Settings
 from valor.common.processes import RECORDER
 from valor.common.resources import profile_file, robot_folder
-from valor.common.retention import Bounds
-from valor.common.robot import RobotDescription
-from valor.common.world_names import WORLD_NAMES
+from valor.robot.description import RobotDescription
+from valor.simulation.world_names import WORLD_NAMES
 from valor.valorctl import mode_names, recording_options
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import daemon_ports
@@ -120,9 +121,9 @@ def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
             raise Document.load(file).error(("ports", port), expected(port, known))
     if not {"comms_manager", "motion_manager"}.intersection(profile.processes):
         return
-    from valor.common import get_up_table, robot_checks  # with MuJoCo: a fifth of a second
+    from valor.robot import checks, get_up_table  # with MuJoCo: a fifth of a second
 
-    robot_checks.require_sound(robot)
+    checks.require_sound(robot)
     get_up_table.load(robot)
     if profile.variant == "simulation":
         _check_period(robot, profile, file)

@@ -7,13 +7,13 @@ from typing import Annotated
 
 from msgspec import Meta, field, structs
 
+from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError, expected
 from valor.common.instance import ClockMode, Variant
 from valor.common.processes import BY_NAME, Process
-from valor.common.retention import Bounds
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import ControlRate
 from valor.common.table import NonNegative, Table, TableError, read
+from valor.robot.description import RobotDescription
+from valor.robot.tables import ControlRate
 from valor.valorctl import mode_names, recording_options
 
 MODES = "valor_ros_controller"  # the process that knows control modes
@@ -37,7 +37,7 @@ class Profile(Table, kw_only=True):
     description: str
     variant: Variant = "simulation"  # what the Comms Manager runs on
     control_rate: ControlRate | None = None  # instead of the robot's own [Hz]
-    # Of devices, where they are not the emulators' (valor/common/devices/ports.py).
+    # Of devices, where they are not the emulators' (valor/devices/ports.py).
     ports: dict[str, str] = field(default_factory=dict)
     processes: Annotated[tuple[str, ...], Meta(min_length=1)]
     initial_mode: str | None = None

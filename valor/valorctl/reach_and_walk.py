@@ -12,7 +12,7 @@ from pathlib import Path
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.resources import example_file
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl import demonstration, instance_setup, walking
 from valor.valorctl.console import Progress
 from valor.valorctl.interruption import Interruption

@@ -7,8 +7,8 @@ import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from valor.common import recordings, rosbag2_metadata
-from valor.common.bag_files import origin
+from valor.bags import recordings, rosbag2_metadata
+from valor.bags.files import origin
 from valor.common.instance import Instance
 
 

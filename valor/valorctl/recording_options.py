@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from valor.common.bounds import DAY, UNBOUNDED, Bounds
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Recording
-from valor.common.retention import DAY, UNBOUNDED, Bounds
 from valor.common.table import TableError, checked, plain
 
 BOUND = "--bag-bound"

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from valor.common import recordings
-from valor.common.bag_files import SUFFIX, is_own_folder
+from valor.bags import recordings
+from valor.bags.files import SUFFIX, is_own_folder
+from valor.common.bounds import Bounds
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.processes import RECORDER
-from valor.common.retention import Bounds
 from valor.valorctl.amounts import size_text, time_text
 
 USUAL_RATE = 1e6  # of everything, in real time; until there is enough to measure [B/s]
@@ -193,7 +193,7 @@ def up_since(instance: Instance) -> Callable[[], list[Written]]:
 
 
 def _written(instance: Instance, settings: Settings, since: float) -> list[Written]:
-    from valor.common.rosbag2_metadata import head as head_of
+    from valor.bags.rosbag2_metadata import head as head_of
 
     found = []
     for recording in recordings.look(instance.bags):
@@ -208,7 +208,7 @@ def _written(instance: Instance, settings: Settings, since: float) -> list[Writt
 
 def _named(bag: Path, since: float) -> list[Written]:
     """Recordings where somebody wanted them: a folder, or files of that name."""
-    from valor.common.rosbag2_metadata import head as head_of
+    from valor.bags.rosbag2_metadata import head as head_of
 
     if bag.suffix != SUFFIX:
         head = head_of(bag)

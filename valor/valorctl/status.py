@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import bifrost
-from valor.common import recordings
+from valor.bags import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import BehaviorChange, ClockStatus, ControlModeReport

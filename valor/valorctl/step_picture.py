@@ -8,8 +8,8 @@ from typing import Any
 
 from valor.common.errors import ValorError
 from valor.common.poses import Pose
-from valor.common.robot_tables import Feet
-from valor.common.soles import outline
+from valor.robot.soles import outline
+from valor.robot.tables import Feet
 
 COLORS = ("tab:red", "tab:green")  # left, right, as on ships
 LEVEL = 0.01  # a step not higher or lower than that is on the ground where the robot stood [m]

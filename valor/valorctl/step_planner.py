@@ -9,8 +9,8 @@ import math
 from collections.abc import Sequence
 
 from valor.common.errors import ValorError
-from valor.common.motion_tables import Footsteps, Walking
 from valor.common.poses import Pose, level
+from valor.robot.motion_tables import Footsteps, Walking
 from valor.valorctl.step_plan import FEET, PlanStep
 
 STRIDE = 0.2  # of the middle, from step to step [m]

@@ -10,8 +10,8 @@ from typing import Any
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.poses import Pose
-from valor.common.robot import RobotDescription
 from valor.common.transforms import TransformBuffer, TransformError
+from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
 from valor.valorctl.step_plan import FEET, START, PlanStep
 from valor.valorctl.step_planner import Middle, middle, plan_to

@@ -16,8 +16,8 @@ from valor.analysis.period import Blame, Periods
 from valor.analysis.threads import ThreadUse, ThreadWatch
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.robot import RobotDescription
 from valor.common.trace import FLUSH_PERIOD, Trace, topic
+from valor.robot.description import RobotDescription
 from valor.valorctl.status import require_up
 
 LOOPS = ("comms_manager", "motion_manager", "valor_ros_controller", "bag_recorder")  # that mark their stages

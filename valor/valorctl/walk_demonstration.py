@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from valor.common.instance import ClockMode, Instance
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl import demonstration, walking
 from valor.valorctl.console import Progress, say_rows
 from valor.valorctl.instance_setup import Request

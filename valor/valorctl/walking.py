@@ -17,9 +17,9 @@ from valor.common import membership
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor, VelocityCommand
-from valor.common.motion_tables import Walking as Limits
-from valor.common.robot import RobotDescription
 from valor.common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VALORCTL, VELOCITY
+from valor.robot.description import RobotDescription
+from valor.robot.motion_tables import Walking as Limits
 from valor.valorctl import control_mode
 from valor.valorctl.steering import Line
 

@@ -23,7 +23,6 @@ from valor.common.messages import DeviceStatus, Motor, Proprioceptor
 from valor.common.pacing import Pacer, Wall
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
-from valor.common.service import Context
 from valor.common.topics import DEVICES
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
@@ -46,6 +45,7 @@ from valor.comms_manager.hardware.holding import holding
 from valor.comms_manager.hardware.kinds import make
 from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.comms_manager.hardware.series_elastic import SeriesElastic
+from valor.service import Context
 
 FEET = ("left_foot", "right_foot")  # where the forces must be known
 # So much may lack of a period. Less than half, or whoever is late once samples twice a period for ever; and no whole

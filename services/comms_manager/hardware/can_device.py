@@ -15,14 +15,14 @@ from collections.abc import Mapping
 
 import can
 
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Code, Identity, Reply
-from valor.common.devices.end_to_end import is_sound
-from valor.common.devices.ports import open_can
-from valor.common.devices.table import SupplyLimits
 from valor.common.errors import ConfigurationError
 from valor.comms_manager.hardware.condition import Condition, Limits, require_identity
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault, UnitRecord
+from valor.devices import can_frames
+from valor.devices.can_frames import Code, Identity, Reply
+from valor.devices.end_to_end import is_sound
+from valor.devices.ports import open_can
+from valor.devices.table import SupplyLimits
 
 GATHERING = 0.0015  # from SYNC until states are handed over, whoever has not answered [s]
 ABSENT_AFTER = 10  # SYNCs without an answer, after which nobody waits for a unit any more

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 IntVector = npt.NDArray[np.int64]
 RATE_WINDOW = 1.0  # over which rates and latencies are taken [s]

@@ -14,9 +14,6 @@ from threading import Event
 import numpy as np
 import serial
 
-from valor.common.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
-from valor.common.devices.ports import serial_port
-from valor.common.devices.table import Dynamixel
 from valor.common.messages import JointMode
 from valor.comms_manager.hardware.condition import require_identity
 from valor.comms_manager.hardware.device import (
@@ -29,6 +26,9 @@ from valor.comms_manager.hardware.device import (
 )
 from valor.comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, StatusReader
 from valor.comms_manager.hardware.dynamixel_servo import Servo
+from valor.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
+from valor.devices.ports import serial_port
+from valor.devices.table import Dynamixel
 
 ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
 LONGEST_READ = 0.02  # of all servos, whoever is missing; the time-out is 7 ms for each kind [s]

@@ -25,7 +25,7 @@ from dynamixel_sdk import (
     Protocol2PacketHandler,
 )
 
-from valor.common.devices.dynamixel import Item
+from valor.devices.dynamixel import Item
 
 ANSWER_TIME = 40.0  # that a servo has for the answer to a single request, besides the line's own [ms]
 CYCLE_TIME = 7.0  # that all servos have together for a cycle's answers, likewise [ms]

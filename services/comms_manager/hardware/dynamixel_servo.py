@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from valor.common.devices.dynamixel import MODELS, ControlTable, Item
-from valor.common.devices.table import DynamixelServo
-from valor.common.robot import RobotDescription
 from valor.comms_manager.hardware.condition import Condition, Limits
 from valor.comms_manager.hardware.device import Ailment, Fault, UnitRecord
 from valor.comms_manager.hardware.device_clock import DeviceClock
 from valor.comms_manager.hardware.dynamixel_port import Answer, number_of
 from valor.comms_manager.hardware.encoder_watch import EncoderWatch
+from valor.devices.dynamixel import MODELS, ControlTable, Item
+from valor.devices.table import DynamixelServo
+from valor.robot.description import RobotDescription
 
 LATEST = 0.02  # an answer that was held up longer is not used [s]
 TICKS = 32768  # of a servo's clock, in milliseconds, until it begins anew

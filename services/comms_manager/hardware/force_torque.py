@@ -7,11 +7,11 @@ import time
 
 import numpy as np
 
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Identity
-from valor.common.devices.table import FtCan
 from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
 from valor.comms_manager.hardware.device import DeviceContext, IntVector, Part, WrenchMeasurement
+from valor.devices import can_frames
+from valor.devices.can_frames import Identity
+from valor.devices.table import FtCan
 
 MOST = 20_000.0  # force [N] and torque [N·m]: more is nonsense
 

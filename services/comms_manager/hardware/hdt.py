@@ -16,8 +16,6 @@ import numpy as np
 
 import bifrost
 from valor.common import membership
-from valor.common.devices.hdt_bus import Fault as ModuleFault
-from valor.common.devices.table import HdtBifrost, HdtLimb
 from valor.common.messages import HdtCommand, HdtState, JointMode
 from valor.comms_manager.hardware.device import (
     Ailment,
@@ -30,6 +28,8 @@ from valor.comms_manager.hardware.device import (
     UnitRecord,
 )
 from valor.comms_manager.hardware.rejoin import Rejoining
+from valor.devices.hdt_bus import Fault as ModuleFault
+from valor.devices.table import HdtBifrost, HdtLimb
 
 FINDING = 30.0  # within which all limbs must have said where they are [s]
 ANSWERING = 5.0  # within which a command must have acted [s]

@@ -18,7 +18,19 @@ from threading import Event
 import numpy as np
 import serial
 
-from valor.common.devices.mip import (
+from valor.comms_manager.hardware.condition import require_identity
+from valor.comms_manager.hardware.device import (
+    Ailment,
+    Device,
+    DeviceContext,
+    DeviceError,
+    Fault,
+    ImuMeasurement,
+    UnitRecord,
+)
+from valor.comms_manager.hardware.device_clock import DeviceClock
+from valor.comms_manager.hardware.mip import Packet, PacketStream, encode
+from valor.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
     FORMAT_ENTRY,
@@ -32,20 +44,8 @@ from valor.common.devices.mip import (
     Stream,
     ThreeDm,
 )
-from valor.common.devices.ports import serial_port
-from valor.common.devices.table import MicroStrainMip
-from valor.comms_manager.hardware.condition import require_identity
-from valor.comms_manager.hardware.device import (
-    Ailment,
-    Device,
-    DeviceContext,
-    DeviceError,
-    Fault,
-    ImuMeasurement,
-    UnitRecord,
-)
-from valor.comms_manager.hardware.device_clock import DeviceClock
-from valor.comms_manager.hardware.mip import Packet, PacketStream, encode
+from valor.devices.ports import serial_port
+from valor.devices.table import MicroStrainMip
 
 ANSWER_TIME = 0.1  # of a command [s]
 TRIES = 10  # of a command, at start

@@ -1,6 +1,6 @@
 """MIP packets on the driver's side: made for commands, and found in whatever bytes a serial line brings.
 
-``valor.common.devices.mip`` says what stands where.
+``valor.devices.mip`` says what stands where.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-from valor.common.devices.mip import CHECKSUM_SIZE, HEADER_SIZE, MAX_PAYLOAD, SYNC
+from valor.devices.mip import CHECKSUM_SIZE, HEADER_SIZE, MAX_PAYLOAD, SYNC
 
 Field = tuple[int, bytes]
 """Descriptor and data."""

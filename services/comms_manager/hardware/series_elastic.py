@@ -9,9 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.devices import can_frames
-from valor.common.devices.can_frames import Code, Identity
-from valor.common.devices.table import MotorController, SeaCanFd, SupplyLimits
 from valor.common.messages import JointMode
 from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
 from valor.comms_manager.hardware.device import (
@@ -23,6 +20,9 @@ from valor.comms_manager.hardware.device import (
     JointCommands,
     JointMeasurement,
 )
+from valor.devices import can_frames
+from valor.devices.can_frames import Code, Identity
+from valor.devices.table import MotorController, SeaCanFd, SupplyLimits
 
 JUMP_MARGIN = 0.05  # of a joint's position from one state to the next, besides what its velocity limit gives [rad]
 JUMPS_TO_FAULT = 3  # implausible positions in a row, after which it is the encoder

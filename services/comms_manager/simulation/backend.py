@@ -5,11 +5,11 @@ from __future__ import annotations
 from valor.common.errors import ConfigurationError
 from valor.common.messages import GroundTruth, Proprioceptor
 from valor.common.pacing import Pacer, Wall
-from valor.common.service import Context
 from valor.common.topics import GROUND_TRUTH
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
 from valor.comms_manager.simulation.clock import BACKLOG, CLOCKS, HASTE
+from valor.service import Context
 from valor.simulation.plant import Plant
 from valor.simulation.push import PushServer
 from valor.simulation.sensors import Sensors

@@ -13,8 +13,6 @@ from math import hypot, isfinite
 import numpy as np
 
 from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, StepStatus
-from valor.common.robot import RobotDescription
-from valor.common.soles import outline, overlap
 from valor.common.topics import FOOTSTEP_PLAN
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import Locomotion
@@ -23,6 +21,8 @@ from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import FEET, LEFT, Step, reach_refusal
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.description import RobotDescription
+from valor.robot.soles import outline, overlap
 
 ROUNDING = 1e-6  # allowed beyond a limit [m]
 NORM = 1e-3  # most that a quaternion's norm may be off

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from bifrost import Received
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointSetpoints
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.hand_goals import SIDES, HandGoals
 from valor.motion_manager.joint_reference import Setpoint
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.upper_body import UpperBody
+from valor.robot.description import RobotDescription
 
 STALE = 0.5  # a set-point for a state older than this is refused [s of robot time]
 AHEAD = 0.1  # likewise one for a state that is so far from having been [s of robot time]

@@ -14,13 +14,13 @@ import numpy.typing as npt
 from bifrost import Float64Array, Received
 from valor.common.messages import BalanceWeights as BalanceWeightsMessage
 from valor.common.messages import JointGains as JointGainsMessage
-from valor.common.robot import RobotDescription
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import BALANCING, Locomotion
 from valor.motion_manager.joint_gains import JointGains
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.weights import TASKS, TaskWeights
+from valor.robot.description import RobotDescription
 
 OPEN = frozenset(BALANCING) - {Locomotion.SOFT_STOP}
 

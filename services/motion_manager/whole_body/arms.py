@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.model import Model
 from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.robot.model import Model
 
 
 class UpperBodyKinematics:

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import Foot
 from valor.motion_manager.kernel import Expression, Kernel
+from valor.robot.description import RobotDescription
+from valor.robot.tables import Foot
 
 POINTS = 4
 EDGES = 4

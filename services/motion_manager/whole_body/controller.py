@@ -13,8 +13,6 @@ from math import sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.model import Model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.arms import UpperBodyKinematics
 from valor.motion_manager.whole_body.contact import FootContacts
 from valor.motion_manager.whole_body.dcm import DcmLaw
@@ -31,6 +29,8 @@ from valor.motion_manager.whole_body.walking.gait import Gait
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from valor.motion_manager.whole_body.weights import TaskWeights
 from valor.motion_manager.whole_body.wishes import Wishes
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
 
 _log = logging.getLogger(__name__)
 

@@ -28,8 +28,6 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.messages import Proprioceptor
-from valor.common.model import Model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel, parts, pieces
 from valor.motion_manager.whole_body import attitude, foot_contact, rotation
 from valor.motion_manager.whole_body.arms import UpperBodyKinematics
@@ -40,6 +38,8 @@ from valor.motion_manager.whole_body.foot_contact import FootContact, FootSense,
 from valor.motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
 from valor.motion_manager.whole_body.pelvis import roll_pitch_yaw
 from valor.motion_manager.whole_body.state import RobotState
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
 
 LONGEST_GAP = 0.02  # between Proprioceptors that the IMU's rates are believed for [s]
 _CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(

@@ -12,7 +12,6 @@ from __future__ import annotations
 from math import acos, degrees
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.state import RobotState
 from valor.motion_manager.whole_body.support import (
     convex_hull,
@@ -22,6 +21,7 @@ from valor.motion_manager.whole_body.support import (
     sole_corners,
     surely_within,
 )
+from valor.robot.description import RobotDescription
 
 
 class FallDetector:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from valor.common.robot_tables import Foot
 from valor.motion_manager.kernel import Expression, by_rows
+from valor.robot.tables import Foot
 
 SURPRISE_TIME = 0.02  # over which surprise is averaged, so that noise alone is none [s]
 LEAST = 0.05  # probability of a foot in contact: it never says nothing at all

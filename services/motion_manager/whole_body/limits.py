@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from valor.common.model import Indices
-from valor.common.motion_tables import WholeBody
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, clipped
+from valor.robot.description import RobotDescription
+from valor.robot.model import Indices
+from valor.robot.motion_tables import WholeBody
 
 
 class JointLimits:

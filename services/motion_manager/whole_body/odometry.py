@@ -20,8 +20,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from valor.common.motion_tables import Estimator
 from valor.motion_manager.kernel import Expression
+from valor.robot.motion_tables import Estimator
 
 POSITION, VELOCITY, BIAS, FEET = 0, 1, 2, 3
 SIZE = 5

@@ -16,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.model import Model
-from valor.common.motion_tables import PelvisMotion
 from valor.motion_manager.kernel import Expression
 from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
+from valor.robot.model import Model
+from valor.robot.motion_tables import PelvisMotion
 
 Places = npt.NDArray[np.intp]
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, clipped
 from valor.motion_manager.whole_body import rotation
+from valor.robot.description import RobotDescription
 
 
 def minimum_jerk(time: Expression, duration: float) -> tuple[Expression, Expression, Expression]:

@@ -22,9 +22,9 @@ from heapq import heappop, heappush
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.model import Model
 from valor.motion_manager.whole_body.dynamics import Dynamics
 from valor.motion_manager.whole_body.elimination import Limit
+from valor.robot.model import Model
 
 FASTEST = 4.0  # that two parts approach each other [m/s]
 REACH = 0.6  # how far apart two parts are told from farther ones [m]

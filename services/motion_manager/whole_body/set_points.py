@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.robot.description import RobotDescription
 
 
 class SetPoints:

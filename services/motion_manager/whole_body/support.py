@@ -8,7 +8,7 @@ from math import hypot
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot_tables import Feet
+from valor.robot.tables import Feet
 
 Point = tuple[float, float]
 

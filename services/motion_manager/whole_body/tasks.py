@@ -16,7 +16,6 @@ from math import nan
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.motion_tables import WholeBody
 from valor.motion_manager.whole_body.dynamics import (
     CHEST,
     COM,
@@ -29,6 +28,7 @@ from valor.motion_manager.whole_body.dynamics import (
     sole_rows,
 )
 from valor.motion_manager.whole_body.weights import TASKS
+from valor.robot.motion_tables import WholeBody
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks
 

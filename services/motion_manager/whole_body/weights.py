@@ -7,7 +7,7 @@ from math import log
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.motion_tables import WholeBody
+from valor.robot.motion_tables import WholeBody
 
 TASKS = ("com", "angular_momentum", "orientation", "foot", "arm_posture", "waist_posture", "leg_posture")
 """As ``<task>_weight`` in the ``whole_body`` table of robot.yaml."""

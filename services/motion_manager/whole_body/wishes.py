@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel, by_rows, clipped, pieces
 from valor.motion_manager.whole_body import rotation, stance
 from valor.motion_manager.whole_body.arms import UpperBodyKinematics
@@ -26,6 +25,7 @@ from valor.motion_manager.whole_body.reference import Begun, Feet, Led, StandRef
 from valor.motion_manager.whole_body.set_points import SetPoints
 from valor.motion_manager.whole_body.state import RobotState, UpperBodyReference
 from valor.motion_manager.whole_body.walking.gait import Gait
+from valor.robot.description import RobotDescription
 
 CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up for a distant reference at most
 

@@ -23,7 +23,7 @@ from std_msgs.msg import String
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 from valor.valor_ros_controller.ros.transforms import ODOM, TransformPublisher

@@ -14,7 +14,7 @@ from tf2_msgs.msg import TFMessage
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 

@@ -14,8 +14,8 @@ from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, go
 from tests.system import RosClient
 from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection, Statistics
-from valor.common.robot import RobotDescription
 from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION, VALOR_ROS_CONTROLLER_STATISTICS
+from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 HOME = ROBOT.tables.arm_presets["home"]["right"]

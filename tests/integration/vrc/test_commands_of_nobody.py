@@ -20,8 +20,8 @@ from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go
 from tests.system import RosClient
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus, MotionState
-from valor.common.robot import RobotDescription
 from valor.common.topics import MOTION_STATE
+from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
 
 HOME = RobotDescription.load(ROBOTS / "escher").tables.arm_presets["home"]["right"]

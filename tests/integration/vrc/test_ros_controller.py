@@ -24,7 +24,6 @@ from valor.common.messages import (
     Statistics,
 )
 from valor.common.processes import BY_NAME, EXIT_CONFIGURATION
-from valor.common.robot import RobotDescription
 from valor.common.topics import (
     CONTROL_MODE,
     JOINT_SETPOINTS,
@@ -33,6 +32,7 @@ from valor.common.topics import (
     REJECTION,
     VALOR_ROS_CONTROLLER_STATISTICS,
 )
+from valor.robot.description import RobotDescription
 
 PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 ROBOT = RobotDescription.load(ROBOTS / "escher")

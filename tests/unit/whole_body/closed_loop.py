@@ -16,9 +16,6 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import RobotTables
 from valor.common.table import checked, plain
 from valor.motion_manager.whole_body import (
     FallDetector,
@@ -28,6 +25,9 @@ from valor.motion_manager.whole_body import (
     WholeBodyCommand,
     WholeBodyController,
 )
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
+from valor.robot.tables import RobotTables
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 

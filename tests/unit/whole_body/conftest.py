@@ -11,10 +11,10 @@ import pytest
 
 from tests.unit.whole_body.closed_loop import load_robot
 from valor.common.arrays import FloatArray
-from valor.common.model import Model, controller_model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.dynamics import Dynamics
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model, controller_model
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,6 @@ import numpy as np
 from tests.unit.whole_body.closed_loop import ClosedLoop
 from valor.common.messages import Footstep, FootstepPlanRequest
 from valor.common.poses import Pose
-from valor.common.robot import RobotDescription
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
@@ -20,6 +19,7 @@ from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.walking.gait import sole_poses
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.description import RobotDescription
 from valor.valorctl.step_plan import FEET, PlanStep
 from valor.valorctl.step_planner import middle
 

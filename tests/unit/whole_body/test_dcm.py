@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.common.model import Model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.kernel import Expression, Kernel
 from valor.motion_manager.whole_body.arms import UpperBodyKinematics
 from valor.motion_manager.whole_body.dcm import DcmLaw
 from valor.motion_manager.whole_body.reference import followed, minimum_jerk
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
 
 OMEGA = DcmLaw.natural_frequency(0.86, 9.81)
 STEP = 5e-4  # of the integration [s]

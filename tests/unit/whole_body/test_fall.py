@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from tests.unit.whole_body.closed_loop import ClosedLoop
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import FallDetector, RobotState, rotation
 from valor.motion_manager.whole_body.support import (
     Point,
@@ -22,6 +21,7 @@ from valor.motion_manager.whole_body.support import (
     sole_corners,
     surely_within,
 )
+from valor.robot.description import RobotDescription
 
 MILLISECOND = 1_000_000  # [ns]
 coordinates = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor.common import worlds
-from valor.common.robot import RobotDescription
-from valor.common.worlds.world import ground
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.robot.description import RobotDescription
+from valor.simulation import worlds
+from valor.simulation.worlds.world import ground
 
 
 def walk(loop: ClosedLoop, velocity: tuple[float, float, float], seconds: float) -> tuple[np.ndarray, float]:

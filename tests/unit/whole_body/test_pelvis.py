@@ -13,8 +13,6 @@ from bifrost import Received
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
 from valor.common.messages import PelvisSetpoint
-from valor.common.model import Model
-from valor.common.robot import RobotDescription
 from valor.common.topics import PELVIS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.behaviors import Behavior
@@ -22,6 +20,8 @@ from valor.motion_manager.handlers.pelvis import PelvisHandler
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.dynamics import ModelJoints
 from valor.motion_manager.whole_body.pelvis import LegKinematics, PelvisReference, from_roll_pitch_yaw, roll_pitch_yaw
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
 
 
 @pytest.fixture

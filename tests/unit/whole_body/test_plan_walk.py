@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tests.unit.whole_body.plan_walk import walk_plan
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 from valor.valorctl.step_plan import PlanStep
 
 

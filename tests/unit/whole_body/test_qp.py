@@ -10,8 +10,6 @@ import pytest
 
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
-from valor.common.model import Model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators
 from valor.motion_manager.whole_body.dynamics import SOLES, Dynamics
 from valor.motion_manager.whole_body.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
@@ -19,6 +17,8 @@ from valor.motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.rotation import IDENTITY
 from valor.motion_manager.whole_body.state import QpStatus
 from valor.motion_manager.whole_body.tasks import Objective
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
 
 EQUALITY = 5  # DAQP's sense
 

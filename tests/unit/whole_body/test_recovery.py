@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.robot.description import RobotDescription
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "right": (0.0, -1.0, 0.0)}
 PERIOD = 2_000_000  # [ns]

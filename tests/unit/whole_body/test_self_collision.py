@@ -11,13 +11,13 @@ import pytest
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.common.model import controller_model
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.dynamics import Dynamics
 from valor.motion_manager.whole_body.self_collision import SelfCollision
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.description import RobotDescription
+from valor.robot.model import controller_model
 
 NOBODY: dict[str, dict[str, object]] = {"self_collision": {"pairs": []}}
 ARM = {"l_shoulder_roll": -0.3, "l_shoulder_yaw": -1.5, "l_elbow_pitch": 0.3, "l_shoulder_pitch": 0.2}  # into the chest

@@ -10,11 +10,11 @@ import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import RobotTables
 from valor.common.table import checked, plain
 from valor.motion_manager.whole_body import QpStatus
 from valor.motion_manager.whole_body.reference import minimum_jerk
+from valor.robot.description import RobotDescription
+from valor.robot.tables import RobotTables
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose, reach_refusal
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingPoint, SwingTrajectory
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.robot.description import RobotDescription
 
 OMEGA = 3.377
 DT = 1e-4  # of numerical integration and differentiation [s]

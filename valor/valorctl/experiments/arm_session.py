@@ -12,8 +12,8 @@ from valor.analysis.timeline import Motion, Timeline
 from valor.common.errors import ValorError
 from valor.common.messages import Proprioceptor
 from valor.common.resources import robot_folder
-from valor.common.robot import RobotDescription
 from valor.common.topics import PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 from valor.valorctl import arm_motion, control_mode
 from valor.valorctl.experiments.experiment import Run
 

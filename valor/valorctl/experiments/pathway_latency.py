@@ -25,8 +25,8 @@ from valor.analysis.pathways import (
 from valor.analysis.results import Measure, Table
 from valor.common.instance import Recording
 from valor.common.messages import Proprioceptor
-from valor.common.robot import RobotDescription
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
 from valor.valorctl.experiments.experiment import Run
 
 if TYPE_CHECKING:

@@ -100,9 +100,9 @@ def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False)
 @bag.command()
 def recover(file: File) -> None:
     """Finish in place a recording whose recorder was killed; one that is whole is left alone."""
-    from valor.common import rosbag2_metadata
-    from valor.common.bag_files import is_own_folder
-    from valor.common.bag_recovery import recover as finish
+    from valor.bags import rosbag2_metadata
+    from valor.bags.files import is_own_folder
+    from valor.bags.recovery import recover as finish
 
     found = finish(file)
     if is_own_folder(file.absolute()):

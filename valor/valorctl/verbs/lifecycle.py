@@ -10,7 +10,7 @@ import typer
 
 from valor.common.instance import ClockMode, Instance, RosCommands
 from valor.common.resources import profiles, robots
-from valor.common.world_names import WORLD_NAMES
+from valor.simulation.world_names import WORLD_NAMES
 from valor.valorctl import completion
 from valor.valorctl.console import progress, say
 from valor.valorctl.interruption import Interruption

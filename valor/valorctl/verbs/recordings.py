@@ -65,7 +65,7 @@ def keep(
     undo: Annotated[bool, typer.Option("--undo", help="Let it go again when it is the oldest.")] = False,
 ) -> None:
     """Mark a recording to stay, whatever the bounds."""
-    from valor.common import recordings
+    from valor.bags import recordings
 
     instance = Instance.from_environment()
     found = {each.name: each for each in recordings.look(instance.bags)}
@@ -93,7 +93,7 @@ def prune(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
 ) -> None:
     """Remove the oldest recordings until the others are within bounds; as the recorder does while it records."""
-    from valor.common import recordings
+    from valor.bags import recordings
     from valor.valorctl import recording_options
 
     bags = Instance.from_environment().bags
@@ -109,6 +109,6 @@ def prune(
 
 
 def _left(bags: Path) -> str:
-    from valor.common import recordings
+    from valor.bags import recordings
 
     return f"recordings take {size_text(sum(each.size for each in recordings.look(bags)))}"

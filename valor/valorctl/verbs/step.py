@@ -34,7 +34,7 @@ def step(
     json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Take footsteps: those of a plan, or some that lead to a place."""
-    from valor.common.robot import RobotDescription
+    from valor.robot.description import RobotDescription
     from valor.valorctl import status, step_picture, step_plan, stepping
 
     if (plan is None) == (to is None):

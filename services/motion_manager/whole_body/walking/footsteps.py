@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
-from valor.common.motion_tables import Footsteps
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.motion_tables import Footsteps
 
 LEFT, RIGHT = 0, 1
 FEET = ("left", "right")

@@ -16,13 +16,13 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body.state import RobotState
 from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, StepSource
 from valor.motion_manager.whole_body.walking.recovery import RecoverySteps
 from valor.motion_manager.whole_body.walking.step_guard import StepGuard
 from valor.motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
+from valor.robot.description import RobotDescription
 
 AHEAD = 3  # steps planned
 HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]

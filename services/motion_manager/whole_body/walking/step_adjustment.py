@@ -32,10 +32,10 @@ import daqp
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.robot import RobotDescription
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.description import RobotDescription
 
 UNBOUNDED = 1e30  # to the solver
 PEAK = 1.875  # of a minimum-jerk motion's speed to its mean

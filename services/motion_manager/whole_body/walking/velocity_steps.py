@@ -15,11 +15,11 @@ from math import cos, inf, sin
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.motion_tables import Walking
 from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
 from valor.motion_manager.whole_body.walking.ground import GroundPlane
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.motion_tables import Walking
 
 STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
 AHEAD = 3  # steps

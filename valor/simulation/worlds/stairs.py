@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from valor.common.worlds.world import EDGE, STONE, block, decoration, floor
+from valor.simulation.worlds.world import EDGE, STONE, block, decoration, floor
 
 _NOSING = (0.02, 0.002)  # of the mark on each edge: depth, how far it stands out [m]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import can
 
-from valor.common.devices import multicast_filter
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
+from valor.devices import multicast_filter
 
 _FIRST_PORT = 5500  # UDP; eight for each ROS domain, of which there are 101
 _BUSES = 8

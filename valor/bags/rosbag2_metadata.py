@@ -14,9 +14,9 @@ from typing import Any
 
 import yaml
 
+from valor.bags.files import SUFFIX, is_own_folder
+from valor.bags.index import EVENT, BagError, BagIndex, read_index, read_metadata
 from valor.common import whole_file
-from valor.common.bag_files import SUFFIX, is_own_folder
-from valor.common.bag_index import EVENT, BagError, BagIndex, read_index, read_metadata
 
 FILE = "metadata.yaml"
 VERSION, DISTRIBUTION = 9, "jazzy"

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from valor.common.devices.table import Calibration, DeviceTable, HdtBifrost, SupplyLimits
-from valor.common.motion_tables import (
+from valor.common.table import NonNegative, Positive, Table, TableError, require_order
+from valor.devices.table import Calibration, DeviceTable, HdtBifrost, SupplyLimits
+from valor.robot.motion_tables import (
     Disturbance,
     Estimator,
     FallDetection,
@@ -19,8 +20,7 @@ from valor.common.motion_tables import (
     Walking,
     WholeBody,
 )
-from valor.common.robot_rules import RULES
-from valor.common.table import NonNegative, Positive, Table, TableError, require_order
+from valor.robot.rules import RULES
 
 Turn = Annotated[float, Meta(ge=-13, le=13)]
 """Two turns either way [rad]: more is in degrees."""

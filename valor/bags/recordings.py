@@ -22,10 +22,11 @@ from typing import BinaryIO, Literal
 
 import msgspec
 
+from valor.bags.files import BEGINNING, SUFFIX, is_own_folder, origin
+from valor.bags.retention import Disk, Piece, Surplus, surplus
 from valor.common import whole_file
-from valor.common.bag_files import BEGINNING, SUFFIX, is_own_folder, origin
+from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError
-from valor.common.retention import Bounds, Disk, Piece, Surplus, surplus
 from valor.common.table import Table, checked, plain
 
 KEEP = "KEEP"  # a file of this name in a recording's folder: it stays
@@ -203,7 +204,7 @@ def holding(instance_folder: Path, when: float) -> Path | None:
     if written is not None and start_of(written) <= when:
         return written
     for recording in reversed(look(instance_folder / "bags")):
-        from valor.common import rosbag2_metadata  # reads YAML; whoever only looks need not wait for that
+        from valor.bags import rosbag2_metadata  # reads YAML; whoever only looks need not wait for that
 
         head = rosbag2_metadata.head(recording.folder)
         start = head.start if head else recording.begun
@@ -290,7 +291,7 @@ def prune(bags: Path, bounds: Bounds, floor: int | None = None, now: float | Non
 
 def _remove(piece: Piece) -> bool:
     """Remove one piece, and its recording with the last of them; whether it went."""
-    from valor.common import rosbag2_metadata
+    from valor.bags import rosbag2_metadata
 
     try:
         with _opened(piece.path) as file:
@@ -309,7 +310,7 @@ def _remove(piece: Piece) -> bool:
 
 def _clear(folder: Path) -> None:
     """Remove the folder of a recording without pieces, unless somebody else has put something there."""
-    from valor.common import rosbag2_metadata
+    from valor.bags import rosbag2_metadata
 
     if not any(folder.glob(f"*{SUFFIX}")):
         (folder / rosbag2_metadata.FILE).unlink(missing_ok=True)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.common.robot import RobotDescription
+from valor.robot.description import RobotDescription
 
 Indices = slice | npt.NDArray[np.intp]
 Shapes = Literal["none", "collision", "all"]

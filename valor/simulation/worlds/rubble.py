@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from valor.common.worlds.world import STONE, floor, ground
+from valor.simulation.worlds.world import STONE, floor, ground
 
 _TONES = (0.52, 0.70)  # of grey, that the boxes differ by
 

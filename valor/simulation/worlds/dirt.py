@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.worlds.world import DIRT, MARK, decoration, floor, ground
+from valor.simulation.worlds.world import DIRT, MARK, decoration, floor, ground
 
 _BEFORE, _BEYOND = 2.0, 5.0  # ground behind the start and beyond the finish [m]
 _PAD = (0.6, 1.6)  # level up to the first x, the full course from the second on [m]

@@ -1,6 +1,6 @@
 """Whether robot.yaml and model.xml are of the same robot, and of one that can stand: each check finds what breaks it.
 
-``valorctl up`` asks before it starts anything. Rules that need no model stand in ``robot_rules.py``.
+``valorctl up`` asks before it starts anything. Rules that need no model stand in ``rules.py``.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from valor.common import soles
 from valor.common.arrays import FloatArray
-from valor.common.model import Model, full_model
-from valor.common.robot import RobotDescription
-from valor.common.robot_tables import Foot
 from valor.common.table import TableError
+from valor.robot import soles
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model, full_model
+from valor.robot.tables import Foot
 
 SIDES = ("left", "right")
 SOLE_HEIGHT = 0.01  # of a sole from the ground in the nominal posture, at most [m]

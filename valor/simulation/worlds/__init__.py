@@ -12,11 +12,11 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import require_one_of
-from valor.common.worlds.dirt import Dirt
-from valor.common.worlds.flat import Flat
-from valor.common.worlds.rubble import Rubble
-from valor.common.worlds.stairs import Stairs
-from valor.common.worlds.world import World, add_materials
+from valor.simulation.worlds.dirt import Dirt
+from valor.simulation.worlds.flat import Flat
+from valor.simulation.worlds.rubble import Rubble
+from valor.simulation.worlds.stairs import Stairs
+from valor.simulation.worlds.world import World, add_materials
 
 # fmt: off
 WORLDS: dict[str, World] = {  # named in world_names, too

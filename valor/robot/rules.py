@@ -1,6 +1,6 @@
 """What must hold between the tables of robot.yaml, without a model: each rule finds what breaks it.
 
-Rules that need the robot's geometry stand in ``robot_checks.py``.
+Rules that need the robot's geometry stand in ``checks.py``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from valor.common.table import TableError
 
 if TYPE_CHECKING:
-    from valor.common.robot_tables import RobotTables
+    from valor.robot.tables import RobotTables
 
 REQUIRED_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm", "neck", "left_hand", "right_hand")
 """What controllers and controllers.yaml name; a robot may leave some empty, but says so."""

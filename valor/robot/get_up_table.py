@@ -7,8 +7,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from valor.common.robot import RobotDescription
 from valor.common.table import NonNegative, Positive, Table, TableError, read
+from valor.robot.description import RobotDescription
 
 FILE = "get_up.yaml"  # in the robot's folder
 

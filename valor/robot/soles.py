@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from valor.common.arrays import FloatArray
-from valor.common.robot_tables import Foot
+from valor.robot.tables import Foot
 
 Vector = Sequence[float] | FloatArray
 Points = Sequence[tuple[float, float]]

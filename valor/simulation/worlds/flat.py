@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from valor.common.worlds.world import floor
+from valor.simulation.worlds.world import floor
 
 
 @dataclass(frozen=True)

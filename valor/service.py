@@ -27,9 +27,9 @@ from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
 from valor.common.priority import take_cores, take_priority, take_turns
 from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, Process
-from valor.common.robot import RobotDescription
 from valor.common.topics import STATISTICS
 from valor.common.trace import Tracer
+from valor.robot.description import RobotDescription
 
 _LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 

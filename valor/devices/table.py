@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from valor.common.devices.dynamixel import MODELS
 from valor.common.table import NonNegative, Positive, Table, TableError, require_order
+from valor.devices.dynamixel import MODELS
 
 CanId = Annotated[int, Meta(ge=1, le=63)]
 WrenchPlace = Literal["left_foot", "right_foot", "left_hand", "right_hand"]
@@ -96,7 +96,7 @@ class DynamixelServo(Table, kw_only=True):
 
     id: Annotated[int, Meta(ge=0, le=252)]
     joint: str
-    model: str  # one of ``valor.common.devices.dynamixel.MODELS``
+    model: str  # one of ``valor.devices.dynamixel.MODELS``
     firmware: Annotated[int, Meta(ge=0, le=0xFF)]
     zero: int  # position at which the joint is at 0 [steps]
     direction: Literal[1, -1] = 1

@@ -1,7 +1,7 @@
 """The robot description: everything the code knows about a robot, read from its folder.
 
 A robot is a folder with ``model.xml`` (MJCF: bodies, inertias, joints, geoms, sites) and ``robot.yaml`` (the tables of
-``robot_tables.py``). This module reads ``robot.yaml`` only; ``valor.common.model`` makes MuJoCo models from the pair.
+``tables.py``). This module reads ``robot.yaml`` only; ``valor.robot.model`` makes MuJoCo models from the pair.
 Limits live in ``robot.yaml`` and are written into the models from there, so that no number stands twice.
 """
 
@@ -18,8 +18,8 @@ from msgspec import structs
 from valor.common.arrays import FloatArray
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
-from valor.common.robot_tables import RobotTables
 from valor.common.table import read
+from valor.robot.tables import RobotTables
 
 _PERIOD_TOLERANCE = 1e-9  # [s]
 

@@ -30,7 +30,7 @@ from enum import IntEnum, IntFlag
 import can
 import numpy as np
 
-from valor.common.devices.end_to_end import SIZE, is_sound, protect
+from valor.devices.end_to_end import SIZE, is_sound, protect
 
 SYNC = 0x080
 COMMAND = 0x100

@@ -5,50 +5,15 @@ Nothing here touches a file: ``recordings.py`` says what there is, and removes i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from msgspec import Meta
+from valor.common.bounds import DAY, Bounds
 
-from valor.common.table import Positive, Table
-
-DAY = 86400.0  # [s]
 RESERVE = 1 << 30  # free space, or a tenth of the disk, below which the oldest makes room for the newest [B]
-# A piece that is being written cannot go, so it is at most this part of what recordings may take.
-PIECES = 8
-LEAST_PIECE = 1 << 20  # [B]
 # Before it nothing of ours was recorded: a file that is dated so had a computer without a clock, and no known age [s].
 _EPOCH = 1_577_836_800.0  # 2020-01-01
-
-
-class Bounds(Table):
-    """How much of an instance's recordings stays; None: no bound of that kind.
-
-    The defaults: a month, some five hours of everything that there is, and never more than a tenth of a small disk.
-    """
-
-    age: Positive | None = 30 * DAY  # since a piece was finished [s]
-    size: Annotated[int, Meta(ge=8 * LEAST_PIECE, extra={"unit": "B"})] | None = 20_000_000_000  # of all together [B]
-    share: Annotated[float, Meta(gt=0, le=1)] | None = 0.1  # of the disk that they are on, all together
-
-    def limit(self, capacity: int) -> int | None:
-        """What all together may take on a disk of that capacity [B]; None: as much as there is."""
-        limits = [self.size, None if self.share is None else round(self.share * capacity)]
-        return min((each for each in limits if each is not None), default=None)
-
-    def piece(self, capacity: int) -> tuple[float, float]:
-        """What a single piece may take, so that the one that is being written fits in [B], and how long [s]."""
-        limit = self.limit(capacity)
-        return (
-            math.inf if limit is None else max(LEAST_PIECE, limit // PIECES),
-            math.inf if self.age is None else self.age / PIECES,
-        )
-
-
-UNBOUNDED = Bounds(age=None, size=None, share=None)
 
 
 @dataclass(frozen=True)
