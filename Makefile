@@ -1,4 +1,4 @@
-# make setup | demo | test | test-pythons | fuzz | lint | bench | dist. Everything is installed from PyPI into .venv; see README.md.
+# make setup | demo | test | test-pythons | fuzz | lint | docs | bench | dist. Everything is installed from PyPI into .venv; see README.md.
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 PYTHONS := 3.11 3.12 3.13 3.14
@@ -16,7 +16,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint bench mutants lock dist clean known-python
+.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint docs bench mutants lock dist clean known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -117,6 +117,13 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(DOCS)
+
+# The documentation as a site, in build/site: links that lead nowhere, and pages that no menu has, are errors.
+DOCS = NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+docs: $(STAMP)
+	$(DOCS)
+	@echo "open build/site/index.html"
 
 # The property tests with so many times the examples, other ones each time (`make fuzz FUZZ=100`). What fails is tried
 # first by the next `make fuzz`, and is kept for good by an `@example`: libcst lets Hypothesis write that as a patch.
