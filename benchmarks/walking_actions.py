@@ -11,12 +11,13 @@ from typing import Protocol, Self
 from flights import over_stairs
 from live_system import System
 
+from valor.common.behaviors import WALKING
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl import stepping
 from valor.valorctl.step_plan import PlanStep
-from valor.valorctl.walking import MODES, Order, walk
+from valor.valorctl.walking import Order, walk
 
 ROBOT = Path(__file__).parents[1] / "robots" / "escher"
 STANDING = (-0.012, 0.1)  # x and |y| of the soles at the start [m]
@@ -116,7 +117,7 @@ class Pushes:
             system.observer.hear()
             state = system.observer.state
             due = 1e-9 * (state.time - start) > first + pushed * self.every
-            if due and pushed < self.count and state.behavior in MODES:
+            if due and pushed < self.count and state.behavior in WALKING:
                 system.push(self._impulse(pushed + 3 * seed))
                 pushed += 1
 

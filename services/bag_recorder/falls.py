@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from valor.common.behaviors import Behavior
 from valor.common.messages import MotionState
 
-FALL = "fall"  # the behavior, and the label of a bag
+FALL = Behavior.FALL  # also the label of a bag
 
 
 class Falls:

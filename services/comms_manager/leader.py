@@ -10,12 +10,13 @@ import logging
 
 import numpy as np
 
-from valor.common.messages import REFLEX, BehaviorReply, BehaviorRequest, JointMode, Motor, Proprioceptor
+from valor.common.behaviors import REFLEX, Behavior
+from valor.common.messages import BehaviorReply, BehaviorRequest, JointMode, Motor, Proprioceptor
 from valor.comms_manager.latch import BehaviorLatch
 from valor.motion_manager.reflex import BalanceReflex
 
-SOFT_STOP, FREEZE, FALL = "soft_stop", "freeze", "fall"
-"""What may be asked for here, as the Motion Manager's behaviors of these names mean it."""
+SOFT_STOP, FREEZE, FALL = Behavior.SOFT_STOP, Behavior.FREEZE, Behavior.FALL
+"""What may be asked for here."""
 
 _log = logging.getLogger("comms_manager")
 

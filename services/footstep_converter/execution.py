@@ -6,12 +6,13 @@ How long the robot may take for something is counted in its own time, which goes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
 
+from valor.common.behaviors import FALLEN, STANDING, STEPPING, STOPPED
 from valor.common.messages import StepStatus
 from valor.footstep_converter.plan import PlannedStep, RunningPlan
 
@@ -20,17 +21,12 @@ START = 2.0  # from acceptance to the first word of steps being taken [robot tim
 SETTLE = 1.0  # in Stand, from the last word of steps being taken to the last word about the plan [robot time, s]
 STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [robot time, s]
 
-STEPPING = {"step", "step_manipulate"}
-STANDING = {"stand", "stand_manipulate"}
-
 _F = FootstepExecutionStatus
 _PREMATURE = _F.PREMATURE_HALT
 # What it means for a plan that the robot is in a behavior that is neither Step nor Stand.
-_LEFT_FOR = {
-    "fall": _F.ERR_FALLEN | _F.EMERGENCY_HALT,
-    "get_up": _F.ERR_FALLEN | _F.EMERGENCY_HALT,
-    "soft_stop": _F.EMERGENCY_HALT,
-    "freeze": _F.EMERGENCY_HALT,
+_LEFT_FOR: Mapping[str, int] = {
+    **dict.fromkeys(FALLEN, _F.ERR_FALLEN | _F.EMERGENCY_HALT),
+    **dict.fromkeys(STOPPED, _F.EMERGENCY_HALT),
 }
 _WRONG_BEHAVIOR = _F.ERR_INVALID_BEHAVIOR_MODE | _PREMATURE
 

@@ -10,18 +10,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
+from valor.common.behaviors import INTERNAL_STATES, Attention, Behavior, Locomotion, Manipulation, requested_by
 from valor.common.errors import ValorError
-from valor.common.messages import REQUESTED_BY
 from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
-    INTERNAL_STATES,
     LOCOMOTION_TRANSITIONS,
     MANIPULATION_TRANSITIONS,
-    Attention,
-    Behavior,
-    Locomotion,
-    Manipulation,
 )
 
 S = TypeVar("S", bound=StrEnum)
@@ -146,7 +141,7 @@ class BehaviorFsm:
             return Verdict(False, reason)
         if target is self.behavior:
             return Verdict(True, f"already in {target}")
-        self.go(target, REQUESTED_BY + origin)
+        self.go(target, requested_by(origin))
         return Verdict(True, "")
 
     def go(self, target: Behavior, reason: str) -> None:

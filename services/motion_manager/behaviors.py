@@ -1,8 +1,7 @@
-"""The Motion Manager's state machines as tables: what there is, what may follow what, and who may move which joint.
+"""The Motion Manager's state machines as tables: what may follow what, and who may move which joint.
 
-The Behavior FSM is what other nodes ask for (thesis section 3.4.1, figure 3.8). A behavior is nothing but a
-combination of states of three internal machines (table 3.1, figure 3.7): Locomotion (legs), Manipulation (arms, hands
-and waist) and Attention (neck). This module holds data and one check; ``behavior_fsm`` walks the tables.
+The Behavior FSM is what other nodes ask for (thesis section 3.4.1, figure 3.8); three internal machines follow it, as
+``common/behaviors.py`` says. This module holds data and one check; ``behavior_fsm`` walks the tables.
 
 Each edge carries where it is known from: ``T`` thesis text, ``P`` public predecessors (ViGIR, Boston Dynamics, THOR),
 ``I`` inferred, ``I2`` needed because a control mode is always reached by two commands, a base behavior and then its
@@ -14,55 +13,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 
+from valor.common.behaviors import Attention, Behavior, Locomotion, Manipulation
 from valor.common.errors import ConfigurationError
 from valor.robot.description import RobotDescription
-
-
-class Behavior(StrEnum):
-    """States of the Behavior FSM; their values are the names on Bifrost."""
-
-    IDLE = "idle"
-    STAND_PREP = "stand_prep"
-    STAND = "stand"
-    STAND_MANIPULATE = "stand_manipulate"
-    STEP = "step"
-    STEP_MANIPULATE = "step_manipulate"
-    WALK = "walk"
-    WALK_MANIPULATE = "walk_manipulate"
-    SOFT_STOP = "soft_stop"
-    FREEZE = "freeze"
-    FALL = "fall"
-    GET_UP = "get_up"
-
-
-class Locomotion(StrEnum):
-    """States of the Locomotion FSM: how the robot carries itself."""
-
-    IDLE = "idle"
-    STAND_PREP = "stand_prep"
-    STAND = "stand"
-    STEP = "step"
-    WALK = "walk"
-    SOFT_STOP = "soft_stop"
-    FREEZE = "freeze"
-    FALL = "fall"
-    GET_UP = "get_up"
-
-
-class Manipulation(StrEnum):
-    """States of the Manipulation FSM: whom the arms, hands and waist follow."""
-
-    LOCKED = "locked"  # nobody: they stay where they are
-    SLAVE = "slave"  # the nominal posture
-    TELEOP = "teleop"  # set-points from outside
-
-
-class Attention(StrEnum):
-    """States of the Attention FSM: whom the neck follows."""
-
-    LOCKED = "locked"  # nobody: it stays where it is
-    LOOK = "look"  # set-points from outside
-
 
 _B, _L, _M, _A = Behavior, Locomotion, Manipulation, Attention
 
@@ -110,51 +63,29 @@ ATTENTION_TRANSITIONS: Mapping[Attention, Mapping[Attention, str]] = {
 }
 """Figure 3.7, Attention."""
 
-INTERNAL_STATES: Mapping[Behavior, tuple[Locomotion, Manipulation, Attention]] = {
-    _B.IDLE:             (_L.IDLE,       _M.LOCKED, _A.LOCKED),
-    _B.STAND_PREP:       (_L.STAND_PREP, _M.LOCKED, _A.LOCKED),
-    _B.STAND:            (_L.STAND,      _M.SLAVE,  _A.LOOK),
-    _B.STAND_MANIPULATE: (_L.STAND,      _M.TELEOP, _A.LOOK),
-    _B.STEP:             (_L.STEP,       _M.SLAVE,  _A.LOOK),
-    _B.STEP_MANIPULATE:  (_L.STEP,       _M.TELEOP, _A.LOOK),
-    _B.WALK:             (_L.WALK,       _M.SLAVE,  _A.LOOK),
-    _B.WALK_MANIPULATE:  (_L.WALK,       _M.TELEOP, _A.LOOK),
-    _B.SOFT_STOP:        (_L.SOFT_STOP,  _M.LOCKED, _A.LOCKED),
-    _B.FREEZE:           (_L.FREEZE,     _M.LOCKED, _A.LOCKED),
-    _B.FALL:             (_L.FALL,       _M.LOCKED, _A.LOCKED),
-    _B.GET_UP:           (_L.GET_UP,     _M.LOCKED, _A.LOCKED),
-}  # fmt: skip
-"""Table 3.1. The neck stays closed in Stand Prep, where every joint goes to the nominal posture."""
-
-OPERATIONAL: frozenset[Behavior] = frozenset({
-    _B.STAND, _B.STAND_MANIPULATE, _B.STEP, _B.STEP_MANIPULATE, _B.WALK, _B.WALK_MANIPULATE,
-})  # fmt: skip
-"""The six operational behaviors: the robot balances and takes commands."""
-
-BALANCING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK, _L.SOFT_STOP})
-"""Where the Whole-Body Controller has the legs."""
-
-RECOVERING: frozenset[Locomotion] = frozenset({_L.STAND, _L.STEP, _L.WALK})
-"""Where a robot at rest steps by itself when its feet cannot hold it. In Soft Stop nothing begins any more."""
-
 RESUMED: Mapping[Behavior, Behavior] = {
-    _B.IDLE: _B.IDLE,
-    _B.FALL: _B.FALL,
-    _B.GET_UP: _B.FALL,
-} | {behavior: _B.FREEZE for behavior in _B if behavior not in (_B.IDLE, _B.FALL, _B.GET_UP)}
+    behavior: _B.IDLE if behavior is _B.IDLE else _B.FALL if behavior.fallen else _B.FREEZE for behavior in _B
+}
 """Where a Motion Manager begins that takes over a robot left behind in a behavior: at rest, until a command comes.
 
 A robot that was balancing and is not upright on both feet is let go instead: Fall.
 """
 
-WAY_BACK: Mapping[Behavior, tuple[Behavior, ...]] = {
-    _B.IDLE: (),
-    _B.FREEZE: (_B.FREEZE,),
-    _B.FALL: (_B.FREEZE, _B.FALL),
-    _B.SOFT_STOP: (_B.STAND_PREP, _B.STAND, _B.SOFT_STOP),
-}
-"""From Idle, where the process begins, to a behavior of ``RESUMED``, by edges of the table and within one period; and
-to Soft Stop, where it stands aside for a reflex that does just that."""
+
+def _ways_from(start: Behavior) -> Mapping[Behavior, tuple[Behavior, ...]]:
+    """Behavior → the shortest way there by edges of the table, of equally short ones the first."""
+    ways: dict[Behavior, tuple[Behavior, ...]] = {start: ()}
+    for here in (frontier := [start]):
+        for there in BEHAVIOR_TRANSITIONS[here]:
+            if there not in ways:
+                ways[there] = (*ways[here], there)
+                frontier.append(there)
+    return ways
+
+
+WAY_BACK = _ways_from(_B.IDLE)
+"""From Idle, where the process begins, to a behavior, within one period: to one of ``RESUMED``, or to Soft Stop, where
+it stands aside for a reflex that does just that."""
 
 WAYS_TO: Mapping[Behavior, tuple[tuple[Behavior, ...], ...]] = {
     _B.FALL: ((_B.FALL,), (_B.FREEZE, _B.FALL)),

@@ -9,10 +9,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from valor.common.messages import REFLEX
+from valor.common.behaviors import REFLEX, Behavior, Locomotion
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import BALANCING, INTERNAL_STATES, RESUMED, WAY_BACK, WAYS_TO, Behavior, Locomotion
+from valor.motion_manager.behaviors import RESUMED, WAY_BACK, WAYS_TO
 from valor.motion_manager.stance import Stance
 from valor.motion_manager.watchdogs import LONGEST_GAP, Gap
 from valor.motion_manager.whole_body import RobotState
@@ -103,7 +103,7 @@ class Custody:
         found = next((behavior for behavior in Behavior if behavior == before), Behavior.FREEZE)
         reason = f"the Motion Manager began anew; before, the robot was in {before}"
         after = RESUMED[found]
-        if INTERNAL_STATES[found][0] in BALANCING and (lost := self._stance.lost(state)):
+        if found.balancing and (lost := self._stance.lost(state)):
             after, reason = Behavior.FALL, f"{reason}; {lost}"
         self._go(WAY_BACK[after], reason)
         fsm.remark(reason)
@@ -144,7 +144,7 @@ class Custody:
         lost = lost or self._stance.lost(state)
         if lost:
             self.fall(f"{gap.reason}; {lost}" if gap.same_world else gap.reason)
-        elif fsm.locomotion in BALANCING:
+        elif fsm.locomotion.balancing:
             # From Step and Walk by way of Soft Stop.
             steps = (Behavior.FREEZE,) if fsm.may_go(Behavior.FREEZE) else (Behavior.SOFT_STOP, Behavior.FREEZE)
             self._go(steps, f"{gap.reason}; it stands, and is held")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from valor.common.behaviors import Behavior
 from valor.common.messages import DeviceStatus
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Behavior
 
 _B = Behavior
 
@@ -18,7 +18,7 @@ DEMANDS: Mapping[str, tuple[Behavior, ...]] = {
 }
 """``DeviceStatus.reaction`` → behaviors, the wanted one first; the others are ways there, or better than nothing."""
 
-_ENOUGH: Mapping[str, frozenset[Behavior]] = {
+ENOUGH: Mapping[str, frozenset[Behavior]] = {
     "keep_balance": frozenset(Behavior),
     # Before it balances, the robot stands on its servos and obeys nobody.
     "soft_stop": frozenset({_B.SOFT_STOP, _B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE, _B.STAND_PREP}),
@@ -45,7 +45,7 @@ class DeviceReactions:
 
     def update(self) -> None:
         """Once a period: go where the devices' condition demands."""
-        if self._fsm.behavior in _ENOUGH[self._demand]:
+        if self._fsm.behavior in ENOUGH[self._demand]:
             return
         for behavior in DEMANDS[self._demand]:
             if behavior is Behavior.FREEZE and self._stepping():

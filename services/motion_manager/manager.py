@@ -11,16 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.behaviors import (
-    BALANCING,
-    RECOVERING,
-    Behavior,
-    Locomotion,
-    Manipulation,
-)
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.custody import BROUGHT_TO_STAND, Custody
 from valor.motion_manager.device_reactions import DeviceReactions
@@ -257,9 +251,9 @@ class MotionManager:
     def _watch(self, state: RobotState) -> None:
         """Fall, when balance is lost."""
         self._falling = ""
-        if self.fsm.locomotion in BALANCING or self.fsm.locomotion is Locomotion.STAND_PREP:
+        if self.fsm.locomotion.balancing or self.fsm.locomotion is Locomotion.STAND_PREP:
             self._falling = self._detector.update(state, self._controller.footholds(state)) or ""
-            if self._falling and self.fsm.locomotion in BALANCING:
+            if self._falling and self.fsm.locomotion.balancing:
                 self.custody.fall(self._falling)
 
     def _enter(self, state: RobotState, now: float) -> None:
@@ -270,8 +264,8 @@ class MotionManager:
             self._end_stepping(locomotion)
         if locomotion in self._step_sources:
             self._controller.pelvis.go_home()
-        if locomotion in BALANCING:
-            if before not in BALANCING:
+        if locomotion.balancing:
+            if before is None or not before.balancing:
                 self._detector.reset()
                 self._controller.reset(state)
                 self._gains.reset()
@@ -288,7 +282,7 @@ class MotionManager:
             self._posture.take_up(state.joint_position, state.joint_effort)
         elif before is Locomotion.FALL:
             self._posture.take_up(state.joint_position, np.zeros_like(state.joint_effort))
-        elif before in BALANCING or before is Locomotion.GET_UP:
+        elif before.balancing or before is Locomotion.GET_UP:
             self._posture.take_over(state.joint_position)
         else:
             self._posture.hold(now)
@@ -301,7 +295,7 @@ class MotionManager:
             self._command.limp(state.joint_position)
         elif self._locomotion is Locomotion.GET_UP:
             self._get_up.drive(self._command, state, now)
-        elif self._locomotion in BALANCING:
+        elif self._locomotion is not None and self._locomotion.balancing:
             self._balance(state, now, dt)
         else:
             self._posture.drive(now)
@@ -325,7 +319,7 @@ class MotionManager:
     def _end_stepping(self, locomotion: Locomotion) -> None:
         """Step or Walk is left: what has begun comes to rest, if somebody balances."""
         self._velocity_steps.stop()
-        if locomotion in BALANCING:
+        if locomotion.balancing:
             self._step_queue.stop(f"{self.fsm.behavior}: {self.fsm.reason}")
         else:
             self._step_queue.fail(self.fsm.reason)
@@ -368,14 +362,14 @@ class MotionManager:
         """
         controller = self._controller
         holding = self.fsm.manipulation is Manipulation.TELEOP and self._hand_contacts.touching
-        controller.may_recover = self.fsm.locomotion in RECOVERING and not holding
+        controller.may_recover = self.fsm.locomotion.recovering and not holding
         if controller.recovering is self._recovering:
             return
         self._recovering = controller.recovering
         if self._recovering:
             _log.warning("%s", controller.watch.reason)
             self.fsm.remark(controller.watch.reason)
-        elif self.fsm.locomotion in RECOVERING:
+        elif self.fsm.locomotion.recovering:
             self.fsm.remark(f"{self.fsm.behavior} again after a step that kept the balance")
 
     def _repeat(self, proprioceptor: Proprioceptor) -> None:

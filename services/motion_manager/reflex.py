@@ -12,8 +12,8 @@ from math import hypot
 
 import numpy as np
 
-from valor.common.messages import REFLEX, Motor, Proprioceptor
-from valor.motion_manager.behaviors import BALANCING, INTERNAL_STATES, Behavior, Locomotion
+from valor.common.behaviors import BALANCING, REFLEX, STEPPING, WALKING, Behavior
+from valor.common.messages import Motor, Proprioceptor
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.watchdogs import ProprioceptorWatchdog
 from valor.motion_manager.whole_body import (
@@ -31,8 +31,6 @@ SETTLED = 0.5  # at rest for so long, it is done [s]
 STILL = 0.03  # of the CoM: slower than this it is at rest [m/s]
 FAULTS = 5  # consecutive periods without a believable Proprioceptor or a solution, after which it gives up
 LIFTED = 0.02  # of the robot's weight: a foot that carries less is in the air
-
-_STEPPING = (Locomotion.STEP, Locomotion.WALK)
 
 
 class BalanceReflex:
@@ -67,9 +65,8 @@ class BalanceReflex:
 
     def needed(self, behavior: str, proprioceptor: Proprioceptor) -> bool:
         """Whether a robot left in ``behavior`` cannot simply be held: it steps, or balances with a foot in the air."""
-        locomotion = INTERNAL_STATES[Behavior(behavior)][0] if behavior in list(Behavior) else Locomotion.IDLE
         carried = min(float(proprioceptor.left_foot_wrench[2]), float(proprioceptor.right_foot_wrench[2]))
-        return locomotion in _STEPPING or (locomotion in BALANCING and carried < self._lifted)
+        return behavior in STEPPING | WALKING or (behavior in BALANCING and carried < self._lifted)
 
     @property
     def limp(self) -> bool:

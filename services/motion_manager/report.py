@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from valor.common.behaviors import Manipulation
 from valor.common.messages import MotionState
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Manipulation
 from valor.motion_manager.command import MotorCommand
 from valor.motion_manager.hand_contact import HandContacts
 from valor.motion_manager.hand_goals import HandGoals

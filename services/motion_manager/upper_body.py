@@ -6,7 +6,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from valor.motion_manager.behaviors import SETPOINT_STATES, Attention, Locomotion, Manipulation, joint_owners
+from valor.common.behaviors import Attention, Locomotion, Manipulation
+from valor.motion_manager.behaviors import SETPOINT_STATES, joint_owners
 from valor.motion_manager.joint_reference import JointReference, Joints, Setpoint
 from valor.robot.description import RobotDescription
 

@@ -8,14 +8,13 @@ from typing import Protocol
 
 import bifrost
 from valor.common import topics
+from valor.common.behaviors import STOPPED
 from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 ANSWER_TIMEOUT = 2.0
 """How long the Motion Manager may take to answer a behavior command [s]."""
-STOPS = frozenset(("soft_stop", "freeze"))
-"""What the Comms Manager is asked for where there is no Motion Manager."""
 
 
 class Commander(Protocol):
@@ -82,7 +81,8 @@ class BehaviorCommander(threading.Thread):
                 self.answered()
 
     def _call(self, number: int, behavior: str) -> BehaviorAnswer:
-        client = self._stopper if behavior in STOPS and self._client.server is None else self._client
+        # Where there is no Motion Manager, the Comms Manager stops the robot.
+        client = self._stopper if behavior in STOPPED and self._client.server is None else self._client
         try:
             reply = client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
         except bifrost.Error as error:

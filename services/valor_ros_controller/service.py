@@ -14,6 +14,7 @@ from math import nan
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterDescriptor
 
+from valor.common.behaviors import ControlMode
 from valor.common.processes import PROCESSES
 from valor.common.trace import Stage
 from valor.service import Context, quiet_collector
@@ -48,7 +49,6 @@ _log = logging.getLogger("valor_ros_controller")
 SWITCH_INTERVAL = 0.0005
 """How long the ROS thread may keep the interpreter from the update thread [s]; Python's own is ten times that."""
 SNAPSHOT_PERIOD = 0.25  # [s]
-SOFT_STOP = "soft_stop"  # the control mode
 
 
 class ValorRosController:
@@ -135,7 +135,7 @@ class ValorRosController:
             context.node,
             self._interface,
             (tree.base_frame, tree.base),
-            soft_stop=lambda: mode_controller.request(SOFT_STOP),
+            soft_stop=lambda: mode_controller.request(ControlMode.SOFT_STOP),
             refusal=refusal,
         )
         context.statistics.watch((*self._interface.heard, *self._bypass.heard), self._ros.floods)

@@ -17,6 +17,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from valor.common.behaviors import ControlMode
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controller_manager import Controller, ControllerManager
 from valor.valor_ros_controller.controller_switch import ControllerSwitch
@@ -111,7 +112,7 @@ class ValorEscherController:
         mode = self._table.modes[name]
         hw.situation = f"control mode {name}"
         reason = "robot time went back" if went_back else hw.situation
-        if name == "none" and self._interface.behavior:
+        if name == ControlMode.NONE and self._interface.behavior:
             reason = f"{reason}, the Motion System is in {self._interface.behavior}"
         self.joints.enter(name, mode.joint_controllers, hw, reason, anew=anew)
         self.robots.enter(name, mode.robot_controllers, hw, reason, anew=anew)

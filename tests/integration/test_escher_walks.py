@@ -7,6 +7,7 @@ import pytest
 
 from tests.conftest import RunningInstance, wait_until
 from tests.integration.test_motion_manager import STANDING, MotionSystem
+from valor.common.behaviors import Behavior
 from valor.common.messages import (
     Footstep,
     FootstepPlanReply,
@@ -17,7 +18,6 @@ from valor.common.messages import (
     VelocityCommand,
 )
 from valor.common.topics import FOOTSTEP_PLAN, GROUND_TRUTH, STEP_STATUS, VELOCITY
-from valor.motion_manager.behaviors import Behavior
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STEP_LENGTH = 0.2  # [m]

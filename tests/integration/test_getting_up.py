@@ -10,14 +10,15 @@ import pytest
 
 from tests.conftest import RunningInstance
 from tests.unit.motion_states import motion_state
+from valor.common.behaviors import requested_by
 from valor.common.errors import ValorError
-from valor.common.messages import REQUESTED_BY, BehaviorReply, BehaviorRequest, MotionState
+from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
 from valor.common.topics import BEHAVIOR, MOTION_STATE
 from valor.valorctl.getting_up import GETTING_UP, get_up
 
 Said = tuple[str, str]  # behavior, reason
 POSES = ["getting up, 2 of 3: kneel", "getting up, 3 of 3: straighten"]
-RISING: list[Said] = [("get_up", f"{REQUESTED_BY}valorctl"), *(("get_up", pose) for pose in POSES)]
+RISING: list[Said] = [("get_up", requested_by("valorctl")), *(("get_up", pose) for pose in POSES)]
 SECOND = 10**9
 LIMIT = 30.0  # until the name service tells of a server [s]
 

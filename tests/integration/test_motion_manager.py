@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
+from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import (
-    REFLEX,
     BehaviorReply,
     BehaviorRequest,
     Footstep,
@@ -46,7 +46,6 @@ from valor.common.topics import (
     STOP,
     VELOCITY,
 )
-from valor.motion_manager.behaviors import Behavior
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

@@ -13,10 +13,10 @@ import numpy as np
 import bifrost
 from tests.soak.rig import BrokenError, Rig
 from valor.common import membership
+from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
 from valor.common.messages import MotionState, PushReply, PushRequest, VelocityCommand
 from valor.common.topics import PUSH, VALORCTL, VELOCITY
-from valor.motion_manager.behaviors import Behavior
 from valor.valorctl import arm_motion, stepping
 
 SPEED = 0.3  # forward [m/s]

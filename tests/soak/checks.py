@@ -12,8 +12,8 @@ import numpy as np
 from tests.soak.rules import lawful
 from valor.bags.index import BagError
 from valor.bags.recovery import recover
-from valor.common.messages import REFLEX, MotionState, Motor
-from valor.motion_manager.behaviors import Behavior
+from valor.common.behaviors import REFLEX, Behavior
+from valor.common.messages import MotionState, Motor
 from valor.robot.description import RobotDescription
 
 ROUNDING = 1e-9  # of a limit [rad, N·m]

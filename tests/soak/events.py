@@ -22,8 +22,8 @@ from tests.soak.rare import rare_events
 from tests.soak.rig import Rig
 from tests.soak.rules import BY_ITSELF
 from valor.common import membership
+from valor.common.behaviors import Behavior, requested_by
 from valor.common.messages import (
-    REQUESTED_BY,
     BalanceWeights,
     JointGains,
     JointSetpoints,
@@ -33,7 +33,7 @@ from valor.common.messages import (
     VelocityCommand,
 )
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS, JOINT_SETPOINTS, PELVIS, PUSH, VELOCITY
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, Behavior
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
 from valor.valorctl import control_mode
 
 LONGEST_STOP = 7.0  # [s]
@@ -194,7 +194,7 @@ def _quick_requests(rig: Rig, rng: random.Random, _process: str) -> list[str]:
             behavior = target
     answered = time.monotonic()
     rig.wait(lambda: rig.tap.told > answered, "a MotionState after the last answer")
-    seen = [name for name, reason in rig.tap.changes[heard:] if reason == f"{REQUESTED_BY}soak"]
+    seen = [name for name, reason in rig.tap.changes[heard:] if reason == requested_by("soak")]
     if not order_kept(granted, seen):
         found.append(f"granted {granted}, came about {seen}")
     return found

@@ -18,11 +18,11 @@ from tests.soak.checks import unexpected_ends
 from tests.soak.rules import Modes, way
 from tests.soak.tap import Tap
 from tests.system import VALORCTL, System, leftovers, shared_memory
+from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR
-from valor.motion_manager.behaviors import Behavior
 from valor.robot.description import RobotDescription
 from valor.valorctl.getting_up import get_up
 from valor.valorctl.supervision import Supervisor

@@ -9,7 +9,8 @@ from pathlib import Path
 import yaml
 
 import valor.valor_ros_controller
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, OPERATIONAL, RESUMED, Behavior
+from valor.common.behaviors import OPERATIONAL, Behavior
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, RESUMED
 
 STEPPING = frozenset({Behavior.STEP, Behavior.STEP_MANIPULATE, Behavior.WALK, Behavior.WALK_MANIPULATE})
 """A foot may be in the air."""

@@ -14,8 +14,8 @@ from tests.soak.event import Event
 from tests.soak.events import events
 from tests.soak.rig import LOW, BrokenError, Rig
 from tests.soak.rules import STEPPING, outcomes
+from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
-from valor.motion_manager.behaviors import Behavior
 
 HELD = 0.05  # that a joint may give way while its robot is held [rad]
 RECOVERED = 60.0  # in which everything must be ready again [s]

@@ -13,9 +13,9 @@ import numpy as np
 
 import bifrost
 from tests.soak.checks import MotorChecks, StateChecks
+from valor.common.behaviors import REFLEX
 from valor.common.instance import Instance
 from valor.common.messages import (
-    REFLEX,
     ControlModeReport,
     DeviceStatus,
     GroundTruth,

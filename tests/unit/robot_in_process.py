@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest, Motor
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import MotionManager
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model

@@ -7,8 +7,7 @@ import pytest
 
 from tests.unit.test_motion_manager_periods import ROBOT, N, Robot
 from tests.unit.walking_robot import Then, WalkingRobot
-from valor.common.messages import REFLEX
-from valor.motion_manager.behaviors import BALANCING, INTERNAL_STATES, Behavior, Locomotion
+from valor.common.behaviors import INTERNAL_STATES, REFLEX, Behavior, Locomotion
 from valor.motion_manager.reflex import FAULTS, BalanceReflex
 
 VELOCITY = (0.3, 0.0, 0.0)
@@ -42,7 +41,7 @@ def test_it_is_for_robots_that_step_or_balance_on_one_foot(reflex: BalanceReflex
     locomotion = INTERNAL_STATES[Behavior(behavior)][0] if behavior in list(Behavior) else None
     robot = Robot()
     assert reflex.needed(behavior, robot.proprioceptor()) is (locomotion in STEPPING)
-    assert reflex.needed(behavior, robot.proprioceptor(**LIFTED)) is (locomotion in BALANCING)
+    assert reflex.needed(behavior, robot.proprioceptor(**LIFTED)) is locomotion.balancing
 
 
 def begun(reflex: BalanceReflex) -> Robot:

@@ -11,14 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.conftest import examples
+from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Behavior, Manipulation
 from valor.motion_manager.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
-from valor.motion_manager.behaviors import (
-    BEHAVIOR_TRANSITIONS,
-    INTERNAL_STATES,
-    OPERATIONAL,
-    Behavior,
-    Manipulation,
-)
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
 
 FINE = Conditions()
 BAD = Conditions("stand_prep has 1.0 s to go", "the left foot carries 0 N", "the pelvis is tilted")

@@ -8,20 +8,15 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Attention, Behavior, Locomotion, Manipulation
 from valor.common.errors import ConfigurationError
 from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
-    INTERNAL_STATES,
     JOINT_ACCESS,
     LOCOMOTION_TRANSITIONS,
     MANIPULATION_TRANSITIONS,
-    OPERATIONAL,
     SETPOINT_STATES,
-    Attention,
-    Behavior,
-    Locomotion,
-    Manipulation,
     joint_owners,
 )
 from valor.robot.description import RobotDescription

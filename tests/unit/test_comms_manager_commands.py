@@ -12,7 +12,8 @@ import pytest
 
 from tests.bifrost.network import BifrostNetwork, until
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, N, Robot
-from valor.common.messages import REFLEX, JointMode, Motor
+from valor.common.behaviors import REFLEX
+from valor.common.messages import JointMode, Motor
 from valor.common.topics import MOTOR
 from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
 from valor.comms_manager.latch import BehaviorLatch

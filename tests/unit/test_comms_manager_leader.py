@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
-from valor.common.messages import REFLEX, BehaviorReply, BehaviorRequest, Motor
+from valor.common.behaviors import REFLEX, Behavior
+from valor.common.messages import BehaviorReply, BehaviorRequest, Motor
 from valor.comms_manager.latch import BehaviorLatch
 from valor.comms_manager.leader import FALL, FREEZE, SOFT_STOP, Leader, drives
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.reflex import BalanceReflex
 
 STOPS = (FALL, FREEZE, SOFT_STOP)

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from valor.common.behaviors import Behavior
 from valor.common.instance import Instance, Settings
 from valor.common.messages import DeviceStatus
 from valor.comms_manager.hardware.condition import level as _level
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
 from valor.comms_manager.hardware.faults import LOOKS_TO_SILENCE, REACTIONS, UNREAD_AFTER, DeviceWatch, Reaction
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, Behavior
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
 from valor.motion_manager.device_reactions import DEMANDS, DeviceReactions
 from valor.robot.description import RobotDescription
 

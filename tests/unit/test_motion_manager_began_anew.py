@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, Robot, tilted
+from valor.common.behaviors import Behavior
 from valor.common.messages import JointMode
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import BALANCING, INTERNAL_STATES, RESUMED, WAY_BACK, Behavior
+from valor.motion_manager.behaviors import RESUMED, WAY_BACK
 
 ARMS = [*ROBOT.group_indices("left_arm"), *ROBOT.group_indices("right_arm")]
 FOUND = ROBOT.nominal_posture.copy()  # but for the arms
 FOUND[ARMS] = np.clip(FOUND[ARMS] + 0.4, ROBOT.lower[ARMS], ROBOT.upper[ARMS])
-BALANCED = [behavior for behavior in Behavior if INTERNAL_STATES[behavior][0] in BALANCING]
+BALANCED = [behavior for behavior in Behavior if behavior.balancing]
 
 
 def begin(behavior: str, seconds: float = 0.2, **changes: object) -> Robot:

@@ -8,14 +8,13 @@ from enum import StrEnum
 import pytest
 
 from tests.conftest import REPOSITORY
+from valor.common.behaviors import INTERNAL_STATES, Behavior
 from valor.motion_manager.behaviors import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
-    INTERNAL_STATES,
     JOINT_ACCESS,
     LOCOMOTION_TRANSITIONS,
     MANIPULATION_TRANSITIONS,
-    Behavior,
 )
 
 

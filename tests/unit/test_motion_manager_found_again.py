@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import load_robot
+from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.manager import MotionManager
 from valor.robot.model import controller_model
 from valor.simulation.plant import Plant

@@ -13,16 +13,8 @@ from hypothesis import strategies as st
 from bifrost import Message, Received
 from tests.conftest import ROBOTS, examples
 from valor.common.arrays import FloatArray
-from valor.common.messages import (
-    REFLEX,
-    BehaviorRequest,
-    JointMode,
-    JointSetpoints,
-    Motor,
-    Proprioceptor,
-    VelocityCommand,
-)
-from valor.motion_manager.behaviors import Behavior
+from valor.common.behaviors import REFLEX, Behavior
+from valor.common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
 from valor.motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 from valor.robot.description import RobotDescription

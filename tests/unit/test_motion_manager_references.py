@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.unit.test_motion_manager_periods import Robot
 from tests.unit.test_motion_manager_setpoints import ARM, ROBOT, Bench
-from valor.motion_manager.behaviors import Behavior
+from valor.common.behaviors import Behavior
 from valor.motion_manager.joint_reference import SETPOINT_HORIZON
 from valor.motion_manager.posture_move import PostureMove
 

@@ -11,10 +11,10 @@ from bifrost import Received
 from tests.conftest import ROBOTS, examples
 from tests.unit.test_motion_manager_limiter import Watch
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Attention, Behavior, Manipulation
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Attention, Behavior, Manipulation
 from valor.motion_manager.hand_goals import HandGoals
 from valor.motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSetpointsHandler
 from valor.motion_manager.joint_reference import JointReference

@@ -14,8 +14,9 @@ from mcap.writer import Writer as McapWriter
 from tests.conftest import ROBOTS
 from tests.soak import checks, rules
 from tests.unit.motion_states import motion_state
+from valor.common.behaviors import OPERATIONAL, Behavior
 from valor.common.messages import Motor
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, OPERATIONAL, RESUMED, Behavior
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, RESUMED
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

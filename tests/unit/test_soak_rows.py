@@ -14,8 +14,8 @@ from tests.soak import rows, rules
 from tests.soak.activities import ACTIVITIES
 from tests.soak.events import events
 from tests.soak.run import Outcome
+from valor.common.behaviors import Behavior
 from valor.common.processes import BY_NAME
-from valor.motion_manager.behaviors import Behavior
 from valor.valorctl.profile import Profile
 
 DURING: Mapping[str, frozenset[Behavior]] = {

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from tests.conftest import examples
 from tests.unit.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
 from valor.common import topics
+from valor.common.behaviors import Behavior, Locomotion
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
-from valor.motion_manager.behaviors import Behavior, Locomotion
 from valor.valor_ros_controller.controller_switch import Strictness
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     MOVED,

@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 import yaml
 
+from valor.common.behaviors import EMERGENCY_STOP, INTERNAL_STATES, Behavior
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, Behavior
+from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
-from valor.valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP
 from valor.valor_ros_controller.trajectory.errors import ErrorCode
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 

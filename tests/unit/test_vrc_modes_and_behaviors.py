@@ -11,10 +11,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from tests.conftest import examples
 from tests.unit.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
+from valor.common.behaviors import EMERGENCY_STOP, Behavior
 from valor.common.messages import BehaviorRequest, ModeStatus
-from valor.motion_manager.behaviors import Behavior
 from valor.valor_ros_controller import behavior_transition
-from valor.valor_ros_controller.controllers.control_mode_controller import EMERGENCY_STOP, ModeReport
+from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
 
 S = ModeStatus
 STOPPED = (Behavior.SOFT_STOP, Behavior.FREEZE)

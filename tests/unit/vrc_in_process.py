@@ -18,9 +18,9 @@ from tests.conftest import ROBOTS
 from tests.unit.motion_states import motion_state
 from valor.common import topics
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.behaviors import OPERATIONAL, Behavior, Locomotion
 from valor.motion_manager.hand_goals import HandGoals
 from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler

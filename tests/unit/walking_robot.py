@@ -14,8 +14,8 @@ import numpy as np
 from bifrost import Received
 from tests.unit.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior
 from valor.common.messages import VelocityCommand
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.reflex import BalanceReflex
 from valor.robot.description import RobotDescription
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -11,20 +11,22 @@ from matplotlib.patches import Patch
 
 from valor.analysis.recording import Recording
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior
 from valor.common.topics import MOTION_STATE
 
 HEIGHT = 0.05  # of the axes
-_COLORS = {
-    "idle": "#c9ced6", "stand_prep": "#e3d5a8", "stand": "#b7d3ea", "stand_manipulate": "#bfe3cf",
-    "walk": "#f1c8a5", "walk_manipulate": "#f4dd9a", "step": "#e8bfd4", "step_manipulate": "#d9c3ec",
-    "soft_stop": "#e6a5a0", "freeze": "#d98c86", "fall": "#b55a52",
-}  # fmt: skip
 _OTHER = "#dde1e6"
+_B = Behavior
+COLORS: Mapping[str, str] = {
+    _B.IDLE: "#c9ced6", _B.STAND_PREP: "#e3d5a8", _B.STAND: "#b7d3ea", _B.STAND_MANIPULATE: "#bfe3cf",
+    _B.WALK: "#f1c8a5", _B.WALK_MANIPULATE: "#f4dd9a", _B.STEP: "#e8bfd4", _B.STEP_MANIPULATE: "#d9c3ec",
+    _B.SOFT_STOP: "#e6a5a0", _B.FREEZE: "#d98c86", _B.FALL: "#b55a52", _B.GET_UP: _OTHER,
+}  # fmt: skip
 
 
 def color(behavior: str) -> str:
     """Of a behavior's band."""
-    return _COLORS.get(behavior, _OTHER)
+    return COLORS.get(behavior, _OTHER)
 
 
 def keys(behaviors: Iterable[str]) -> list[Patch]:

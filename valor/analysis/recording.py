@@ -10,6 +10,7 @@ import numpy.typing as npt
 from valor.analysis.bag import Bag, Series
 from valor.analysis.errors import BagError
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import MANIPULATING
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
 from valor.robot.description import RobotDescription
 
@@ -78,7 +79,7 @@ class Recording:
     def manipulation(self) -> tuple[float, float] | None:
         """When the arms were first and last free to move [s]; None: never."""
         states = self.series(MOTION_STATE)
-        free = np.flatnonzero(np.char.endswith(states.strings("behavior"), "_manipulate"))
+        free = np.flatnonzero(np.isin(states.strings("behavior"), [*MANIPULATING]))
         return (float(states.time[free[0]]), float(states.time[free[-1]])) if free.size else None
 
     def posture(self, time: float) -> Posture:

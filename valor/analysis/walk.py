@@ -13,13 +13,14 @@ import numpy.typing as npt
 from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import STEPPING, WALKING, Behavior
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 
 MOVING = 0.05  # slower than this for good, the walk is over [m/s]
-WALKING = ("walk", "walk_manipulate", "step", "step_manipulate")
+STEPS = (*STEPPING, *WALKING)  # behaviors in which the robot walks
 SHORTEST_PRINT = 0.15  # of a foot that stands [s]
 _VERTICAL = 2  # of a wrench
 
@@ -63,8 +64,8 @@ class Track:
         return cls(
             time=states.time,
             sequence=states["proprioceptor_sequence"].astype(np.int64),
-            walking=np.isin(behaviors, WALKING),
-            fallen=behaviors == "fall",
+            walking=np.isin(behaviors, STEPS),
+            fallen=behaviors == Behavior.FALL,
             pelvis=states["pelvis_position_in_odom"],
             speed=np.linalg.norm(states["pelvis_linear_velocity_in_odom"], axis=1),
             dcm_error=states["dcm_in_odom"] - states["dcm_reference_in_odom"],
@@ -90,8 +91,8 @@ class Track:
         return cls(
             time=np.array([1e-9 * state.time for state in both]),
             sequence=np.array([state.proprioceptor_sequence for state in both], dtype=np.int64),
-            walking=np.array([state.behavior in WALKING for state in both], dtype=bool),
-            fallen=np.array([state.behavior == "fall" for state in both], dtype=bool),
+            walking=np.array([state.behavior in STEPS for state in both], dtype=bool),
+            fallen=np.array([state.behavior == Behavior.FALL for state in both], dtype=bool),
             pelvis=np.array([state.pelvis_position_in_odom for state in both]),
             speed=np.array([np.linalg.norm(state.pelvis_linear_velocity_in_odom) for state in both]),
             dcm_error=np.array([state.dcm_in_odom - state.dcm_reference_in_odom for state in both]),

@@ -41,11 +41,7 @@ class Proprioceptor(Message):
     left_hand_wrench: Float64Array  # (6,) in hand
     right_hand_wrench: Float64Array  # (6,) in hand
     battery_voltage: float  # [V]
-    motor_behavior: str  # behavior of the newest Motor since the instance came up; empty: none yet
-
-
-REFLEX = "reflex"
-"""``motor_behavior`` while the Comms Manager itself brings a robot to stand whose Motion Manager fell silent."""
+    motor_behavior: str  # behavior of the newest Motor since the instance came up, or REFLEX; empty: none yet
 
 
 class Motor(Message):
@@ -125,10 +121,6 @@ class HdtState(Message):
 # --- Motion Manager out -------------------------------------------------------------------------------------------
 
 
-REQUESTED_BY = "requested by "
-"""How the reason of a change of behavior begins that somebody asked for; his node's name follows."""
-
-
 class MotionState(Message):
     """What the Motion Manager is doing and what it believes, every control period."""
 
@@ -138,7 +130,7 @@ class MotionState(Message):
     locomotion: str
     manipulation: str
     attention: str
-    reason: str  # of the last change of behavior; begins with REQUESTED_BY if somebody asked for it
+    reason: str  # of the last change of behavior; ``behaviors.requester`` gives who asked for it
     pelvis_position_in_odom: Float64Array  # (3,) [m], estimated
     pelvis_orientation_in_odom: Float64Array  # (4,), estimated
     pelvis_linear_velocity_in_odom: Float64Array  # (3,) [m/s]
@@ -267,7 +259,7 @@ class BalanceWeights(Message):
 
 
 class BehaviorRequest(Message):
-    """Go to a behavior, named as in ``motion_manager/behaviors.py`` (``stand``, ``stand_manipulate``, …)."""
+    """Go to a behavior, named as in ``common/behaviors.py`` (``stand``, ``stand_manipulate``, …)."""
 
     behavior: str
 

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable
 
 import bifrost
+from valor.common.behaviors import Behavior, requester
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import REQUESTED_BY, BehaviorReply, BehaviorRequest, MotionState
+from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
 from valor.common.topics import BEHAVIOR, MOTION_STATE
 
-GET_UP, UP = "get_up", "stand_prep"
 GETTING_UP = "getting up"  # shown until the robot says which pose it makes
 LONGEST = 120.0  # of wall time [s]
 _SILENT = 2.0  # [s]
@@ -36,7 +36,7 @@ def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str],
         states = node.subscriber(MOTION_STATE.name, MotionState)
         try:
             reply = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply).call(
-                BehaviorRequest(GET_UP), timeout=_SILENT
+                BehaviorRequest(Behavior.GET_UP), timeout=_SILENT
             )
         except bifrost.Error as error:
             raise ValorError(f"the Motion Manager does not answer: {error}") from None
@@ -50,11 +50,11 @@ def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str],
             if received is None:
                 raise ValorError(f"the Motion Manager is silent: no {MOTION_STATE.name} within {_SILENT:g} s")
             state = received.message
-            if state.behavior == GET_UP:
+            if state.behavior == Behavior.GET_UP:
                 began = state.time if began is None else began
-                shown(GETTING_UP if state.reason.startswith(REQUESTED_BY) else state.reason)
+                shown(GETTING_UP if requester(state.reason) else state.reason)
             elif began is not None:
-                if state.behavior != UP:
+                if state.behavior != Behavior.STAND_PREP:
                     raise ValorError(f"not up: {state.behavior}: {state.reason}")
                 return 1e-9 * (state.time - began)
     raise ValorError(f"still getting up after {LONGEST:g} s")

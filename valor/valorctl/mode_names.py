@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import valor
+from valor.common.behaviors import ControlMode
 from valor.common.errors import ConfigurationError, expected
 
 FILE = Path(valor.__file__).parent / "valor_ros_controller" / "control_modes.yaml"
-PREPARING = "stand_prep"  # the mode that the robot comes up in, until it is in its posture
+PREPARING = ControlMode.STAND_PREP  # the mode that the robot comes up in, until it is in its posture
 
 
 def names() -> list[str]:

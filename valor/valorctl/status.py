@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import bifrost
 from valor.bags import recordings
+from valor.common.behaviors import Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import BehaviorChange, ClockStatus, ControlModeReport
@@ -19,9 +21,12 @@ from valor.valorctl.health import SILENCE, Health, Listener, judge
 from valor.valorctl.recording_report import Glance, glance
 from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor, SupervisorError
 
-FALL = "fall"
 UPTIME_STEP = 1.0  # supervisord counts whole seconds [s]
-WAY_OUT = {FALL: "get-up", "freeze": "mode stand_prep", "soft_stop": "mode stand"}
+WAY_OUT: Mapping[str, str] = {
+    Behavior.FALL: "get-up",
+    Behavior.FREEZE: f"mode {ControlMode.STAND_PREP}",
+    Behavior.SOFT_STOP: f"mode {ControlMode.STAND}",
+}
 """The verb that leads out of a behavior in which the robot obeys nothing else."""
 
 
@@ -57,7 +62,7 @@ class Status:
     @property
     def fallen(self) -> bool | None:
         """Whether the robot has fallen."""
-        return None if self.behavior is None else self.behavior == FALL
+        return None if self.behavior is None else self.behavior == Behavior.FALL
 
     @property
     def way_out(self) -> str | None:

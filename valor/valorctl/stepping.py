@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from valor.common.behaviors import STEPPING_MODES, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.poses import Pose
@@ -19,7 +20,6 @@ from valor.valorctl.step_planner import Middle, middle, plan_to
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 ODOM = "odom"
 SOLES = ("l_sole", "r_sole")
-MODES = ("step", "step_manipulate")
 
 _TF_TIMEOUT = 10.0  # until the soles are known [s]
 _SLOWEST_CLOCK = 0.1  # real-time factor below which a plan is given up
@@ -143,10 +143,10 @@ def _run(
         to_odom = middle(*start) if frame == START else tf.frame(frame)
         planned = [(FEET.index(step.foot), to_odom @ step.sole) for step in steps]
         before = control_mode.report(instance).current_control_mode
-        if before not in MODES:
-            _change(instance, "step", check)
+        if before not in STEPPING_MODES:
+            _change(instance, ControlMode.STEP, check)
         flags, reason = _execute(ros, steps, planned)
-        if reason == "" and before not in MODES and before != "stand":
+        if reason == "" and before not in STEPPING_MODES and before != ControlMode.STAND:
             _change(instance, before, check)
         tf.forget()
         return Outcome(start, planned, tf.soles(), flags, reason)

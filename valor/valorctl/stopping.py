@@ -17,15 +17,15 @@ from typing import Any
 import msgspec
 
 import bifrost
+from valor.common.behaviors import EMERGENCY_STOP, REFLEX, Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import REFLEX, BehaviorReply, BehaviorRequest, Proprioceptor
+from valor.common.messages import BehaviorReply, BehaviorRequest, Proprioceptor
 from valor.common.topics import BEHAVIOR, PROPRIOCEPTOR, STOP, ServiceTopic
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
 from valor.valorctl.plain_command import plain_command
 
-SOFT_STOP, FREEZE, FALL, GET_UP = "soft_stop", "freeze", "fall", "get_up"
 LONGEST = 3.0  # until it is given up, once somebody has answered [s]
 LONGEST_WITHOUT_ANSWER = 10.0  # on a busy computer rclpy takes long to import [s]
 LONGEST_TO_FREEZE = 15.0  # a robot that walks is frozen once it stands [s]
@@ -53,10 +53,12 @@ class Goal:
     longest: float
 
 
-HALT = Goal((SOFT_STOP, FREEZE, FALL, REFLEX), (SOFT_STOP, FREEZE, FALL), ("emergency_stop",), LONGEST)
+_B = Behavior
+
+HALT = Goal((_B.SOFT_STOP, _B.FREEZE, _B.FALL, REFLEX), (_B.SOFT_STOP, _B.FREEZE, _B.FALL), (EMERGENCY_STOP,), LONGEST)
 """Keep the balance where there is one, else lock the joints; on its way up from the floor only Fall follows."""
 
-LOCK = Goal((FREEZE,), (FREEZE, SOFT_STOP, FALL), (FREEZE, "emergency_stop"), LONGEST_TO_FREEZE)
+LOCK = Goal((_B.FREEZE,), (_B.FREEZE, _B.SOFT_STOP, _B.FALL), (ControlMode.FREEZE, EMERGENCY_STOP), LONGEST_TO_FREEZE)
 """Lock the joints: a robot that walks or steps must come to stand before."""
 
 
@@ -225,7 +227,7 @@ class _Asked:
             self.path.answer = reply.behavior if self.obeys or reply.accepted else f"{asked} refused: {reply.reason}"
             self.path.after = now - self._began
         # To let the robot go is for one that is on its way up, and for nobody who refuses for another reason.
-        if self.obeys or reply.accepted or not others or (others[0] == FALL and reply.behavior != GET_UP):
+        if self.obeys or reply.accepted or not others or (others[0] == _B.FALL and reply.behavior != _B.GET_UP):
             self._round_ends(now)
         else:
             self._ask(self._request + 1)

@@ -14,6 +14,7 @@ from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Figures, Timeliness, Track
 from valor.analysis.walk_report import WalkReport
 from valor.common import membership
+from valor.common.behaviors import WALKING, WALKING_MODES, Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor, VelocityCommand
@@ -23,7 +24,6 @@ from valor.robot.motion_tables import Walking as Limits
 from valor.valorctl import control_mode
 from valor.valorctl.steering import Line
 
-MODES = ("walk", "walk_manipulate")
 PERIOD = 0.02  # between commands; robot time may pass faster than the wall's [s]
 REST_SPEED = 0.02  # of a pelvis at rest [m/s]
 REST_DURATION = 0.5  # for which it must be [robot time, s]
@@ -131,17 +131,17 @@ def walk(
     robot = RobotDescription.load(instance.settings().robot)
     order.require_within(robot.tables.walking, robot.name)
     report = control_mode.report(instance)
-    if report.behavior == "fall":
+    if report.behavior == Behavior.FALL:
         raise ValorError("the robot has fallen: see `valorctl get-up`")
     before = report.current_control_mode
     network = membership.network(instance, VALORCTL)
     with bifrost.Node("valorctl", network=network) as node:
-        if before in MODES:
+        if before in WALKING_MODES:
             _require_nobody_leads(node)
         else:
-            _change(instance, "walk", check)
+            _change(instance, ControlMode.WALK, check)
         result = _walk(node, robot, order, check, tell)
-    if before not in MODES and not result.reason:
+    if before not in WALKING_MODES and not result.reason:
         _change(instance, before, check)
     return result
 
@@ -245,7 +245,7 @@ class _Run:
             self.asking, self._stopped = False, self.passed
         since = self.passed - self._stopped
         rested = since > 1.0 and 1e-9 * (state.time - self._moved) > REST_DURATION
-        self.over = state.behavior not in MODES or (not self.asking and (rested or since > LONGEST_STOP))
+        self.over = state.behavior not in WALKING or (not self.asking and (rested or since > LONGEST_STOP))
 
     def command(self) -> VelocityCommand:
         """What to ask for now."""
@@ -265,8 +265,8 @@ class _Run:
             offset=self._line.place(state)[1],
             turned=self._line.turned(state),
             duration=self.passed,
-            fell=state.behavior == "fall",
-            reason=self._lost or ("" if state.behavior in MODES else f"{state.behavior}: {state.reason}"),
+            fell=state.behavior == Behavior.FALL,
+            reason=self._lost or ("" if state.behavior in WALKING else f"{state.behavior}: {state.reason}"),
             dcm_error=float(np.mean(self._errors)),
             pause=self._pause,
             report=report,

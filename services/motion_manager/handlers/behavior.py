@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.rejections import Rejections
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
+from valor.common.behaviors import Manipulation
 from valor.common.messages import HandGoal as HandGoalMessage
 from valor.common.topics import HAND_GOAL
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Manipulation
 from valor.motion_manager.hand_goals import SIDES, HandGoal, HandGoals
 from valor.motion_manager.handlers.joint_setpoints import STALE
 from valor.motion_manager.rejections import Rejections

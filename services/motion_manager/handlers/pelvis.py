@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
+from valor.common.behaviors import Locomotion
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Locomotion
 from valor.motion_manager.handlers.joint_setpoints import STALE
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.pelvis import HEIGHT, PelvisReference
-
-STEPPING = (Locomotion.STEP, Locomotion.WALK)
 
 
 class PelvisHandler:
@@ -38,7 +36,7 @@ class PelvisHandler:
     def _fault(self, message: PelvisSetpoint, now: int) -> tuple[str, str] | None:
         """What kind of fault a message has, and the reason for a person."""
         locomotion = self._fsm.locomotion
-        if locomotion is not Locomotion.STAND and locomotion not in STEPPING:
+        if locomotion is not Locomotion.STAND and not locomotion.stepping:
             return "behavior", f"the pelvis is led while the robot stands; it is in behavior {self._fsm.behavior}"
         for what, vector in (("position", message.position), ("velocity", message.velocity)):
             if vector.shape != (6,):
@@ -48,7 +46,7 @@ class PelvisHandler:
         age = 1e-9 * (now - message.time)
         if abs(age) > STALE:
             return "stale", f"made for a state {age:.3f} s old; expected at most {STALE} s"
-        if locomotion in STEPPING and np.abs(np.delete(message.position, HEIGHT)).max() > 0.0:
+        if locomotion.stepping and np.abs(np.delete(message.position, HEIGHT)).max() > 0.0:
             return (
                 "stepping",
                 f"in behavior {self._fsm.behavior} the pelvis' height alone is led; expected zeros beside it",

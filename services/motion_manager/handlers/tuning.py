@@ -16,13 +16,10 @@ from valor.common.messages import BalanceWeights as BalanceWeightsMessage
 from valor.common.messages import JointGains as JointGainsMessage
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import BALANCING, Locomotion
 from valor.motion_manager.joint_gains import JointGains
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.weights import TASKS, TaskWeights
 from valor.robot.description import RobotDescription
-
-OPEN = frozenset(BALANCING) - {Locomotion.SOFT_STOP}
 
 
 class RefusalError(Exception):
@@ -85,7 +82,7 @@ class TuningHandler:
         Raises:
             RefusalError: nobody balances, or a name is unknown or stands twice.
         """
-        if self._fsm.locomotion not in OPEN:
+        if not self._fsm.behavior.operational:
             raise RefusalError(f"obeyed while the robot balances; it is in behavior {self._fsm.behavior}")
         if not names:
             raise RefusalError(f"names no {what}")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
+from valor.common.behaviors import Locomotion
 from valor.common.messages import VelocityCommand
 from valor.common.topics import VELOCITY
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Locomotion
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 

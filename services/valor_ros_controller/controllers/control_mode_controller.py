@@ -15,15 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from valor.common.messages import REQUESTED_BY, ModeStatus
+from valor.common.behaviors import EMERGENCY_STOP, ControlMode, requester
+from valor.common.messages import ModeStatus
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("control_mode_controller")
-
-EMERGENCY_STOP = "emergency_stop"
-"""``VigirControlModeCommand.EMERGENCY_STOP``."""
 
 _S = ModeStatus
 
@@ -98,7 +96,7 @@ class ControlModeController:
         self._change: _Change | None = None
         self._followed = ""  # the behavior that the mode was last compared with
         self._again = ""  # a mode that the controller itself shall ask for
-        self.report = ModeReport("", "none", _S.ERR_CONTROLLER_NOT_READY)
+        self.report = ModeReport("", ControlMode.NONE, _S.ERR_CONTROLLER_NOT_READY)
         self.reports = 1
         self.active_mode = ""
         self.hard_resets = 0
@@ -151,7 +149,7 @@ class ControlModeController:
         _log.warning("%s is silent: the control mode is unknown", self._motion.silent)
         self._followed = ""
         self.active_mode = ""
-        self._set(ModeReport(self.report.requested, "none", _S.EXTERNAL_CHANGE | _S.ERR_CONTROLLER_NOT_READY))
+        self._set(ModeReport(self.report.requested, ControlMode.NONE, _S.EXTERNAL_CHANGE | _S.ERR_CONTROLLER_NOT_READY))
 
     def _follow(self) -> None:
         """The behavior changed and nobody here asked for it."""
@@ -160,7 +158,7 @@ class ControlModeController:
         self._followed = motion.behavior
         if not began and self._table.fits(previous, motion.behavior):
             return
-        mode = self._table.behaviors.get(motion.behavior, "none")
+        mode = self._table.behaviors.get(motion.behavior, ControlMode.NONE)
         if self._table.modes[mode].switch == "hard_reset" and not began:
             self.hard_resets += 1
         self.active_mode = mode
@@ -172,7 +170,7 @@ class ControlModeController:
             motion.behavior,
             motion.behavior_reason,
         )
-        done = mode == "stand" and not motion.behavior_reason.startswith(REQUESTED_BY)
+        done = mode == ControlMode.STAND and not requester(motion.behavior_reason)
         self._again = (self._table.modes[previous].when_done or "") if done and not began else ""
 
     def _take_again(self) -> str:
@@ -196,7 +194,7 @@ class ControlModeController:
         if behavior == before or self._table.fits(self.current, behavior):
             actual = self.current
         else:
-            actual = self._table.behaviors.get(behavior, "none")
+            actual = self._table.behaviors.get(behavior, ControlMode.NONE)
         if not (transition.silent or transition.diverted) and (stop := self._stop_from(actual, change.other_stops)):
             # The mode was another than it seemed when the emergency stop was asked for.
             self._note_refusal(change.requested, transition.reason)

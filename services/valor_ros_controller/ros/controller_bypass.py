@@ -33,6 +33,7 @@ from valor_msgs.msg import JointGains as RosJointGains
 from valor_msgs.msg import Rejection as RosRejection
 
 import bifrost
+from valor.common.behaviors import WALKING_MODES
 from valor.common.floods import COMMANDS
 from valor.common.messages import (
     BalanceWeights,
@@ -62,7 +63,6 @@ CMD_VEL = "/cmd_vel"
 PELVIS_GOAL = "/flor/pelvis_controller/goal_pose"
 SUPPORT = "support"
 """The frame of pelvis goals: that of ``PelvisSetpoint``."""
-WALKING = frozenset({"walk", "walk_manipulate"})  # control modes
 HANDS = ("l_hand", "r_hand")
 QUEUE = 10  # commands on demand that wait for the update loop; more, and the oldest are let go
 AT_ONCE = 2  # of them, in one cycle
@@ -147,7 +147,7 @@ class ControllerBypass:
             for rejection in self._rejections.drain(QUEUE):
                 self._tell(rejection)
         twist = self._newest.read()
-        if twist is None or control_mode not in WALKING:
+        if twist is None or control_mode not in WALKING_MODES:
             return
         self._velocity.publish(
             VelocityCommand(time=hw.time, linear_x=twist.linear.x, linear_y=twist.linear.y, angular_z=twist.angular.z)

@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 import bifrost
+from valor.common.behaviors import FALLEN
 from valor.common.messages import DeviceStatus, Statistics
 from valor.common.topics import DEVICES, STATISTICS
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
@@ -169,7 +170,7 @@ class Diagnostics:
     def _motion_system(snapshot: Snapshot) -> DiagnosticStatus:
         if snapshot.silent:
             level, text = DiagnosticStatus.ERROR, f"{snapshot.silent} is silent"
-        elif snapshot.behavior in ("fall", "get_up"):
+        elif snapshot.behavior in FALLEN:
             level, text = DiagnosticStatus.ERROR, f"{snapshot.behavior}: {snapshot.behavior_reason}"
         else:
             level, text = DiagnosticStatus.OK, snapshot.behavior

@@ -6,11 +6,11 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from valor.common.behaviors import BALANCING, FALLEN, Behavior
 from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 TOPIC = "/flor/controller/robot_status"
-_LOST = ("fall", "get_up")
-_NOT_BALANCING = ("idle", "stand_prep", "freeze")
+_HELD = frozenset(Behavior) - BALANCING - FALLEN
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -32,12 +32,12 @@ class RobotStatusPublisher:
         silent, behavior, reason, _ = now
         if silent:
             level, text = DiagnosticStatus.ERROR, f"{silent} is silent"
-        elif behavior in _LOST:
+        elif behavior in FALLEN:
             level, text = DiagnosticStatus.ERROR, f"{behavior}: {reason}"
-        elif behavior in _NOT_BALANCING:
+        elif behavior in _HELD:
             level, text = DiagnosticStatus.WARN, f"{behavior}: the joints hold, nobody balances"
-        elif behavior == "soft_stop":
-            level, text = DiagnosticStatus.WARN, "soft_stop: balances, closed to commands"
+        elif behavior == Behavior.SOFT_STOP:
+            level, text = DiagnosticStatus.WARN, f"{behavior}: balances, closed to commands"
         else:
             level, text = DiagnosticStatus.OK, behavior
         values = {"behavior": behavior, "reason": reason, "control_mode": control_mode, "silent": silent}

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from tests.unit.whole_body.closed_loop import ClosedLoop
+from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest
 from valor.common.poses import Pose
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.walking.gait import sole_poses

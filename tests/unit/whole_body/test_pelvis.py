@@ -12,10 +12,10 @@ import pytest
 from bifrost import Received
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import Behavior
 from valor.motion_manager.handlers.pelvis import PelvisHandler
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.whole_body.dynamics import ModelJoints

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import bifrost
 from valor.analysis.timeline import Motion, Timeline
+from valor.common.behaviors import ControlMode
 from valor.common.errors import ValorError
 from valor.common.messages import Proprioceptor
 from valor.common.resources import robot_folder
@@ -17,7 +18,7 @@ from valor.robot.description import RobotDescription
 from valor.valorctl import arm_motion, control_mode
 from valor.valorctl.experiments.experiment import Run
 
-MODE = "stand_manipulate"  # nothing holds the pelvis: the thesis' behavior
+MODE = ControlMode.STAND_MANIPULATE  # nothing holds the pelvis: the thesis' behavior
 SPEED = 0.4  # fraction of the joint speed limits
 SETTLE, QUICK_SETTLE = 1.5, 0.6  # after a motion, before the next begins [robot time, s]
 SILENCE = 5.0  # of the devices, that ends the experiment [s]

@@ -23,6 +23,7 @@ from valor.analysis.pathways import (
     Segment,
 )
 from valor.analysis.results import Measure, Table
+from valor.common.behaviors import ControlMode
 from valor.common.instance import Recording
 from valor.common.messages import Proprioceptor
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
@@ -32,7 +33,10 @@ from valor.valorctl.experiments.experiment import Run
 if TYPE_CHECKING:
     from valor.valorctl.ros_client import RosClient
 
-MODES = ("stand_manipulate", "stand")  # commanded in turn; the last of an even number frees the arms again
+MODES = (
+    ControlMode.STAND_MANIPULATE,
+    ControlMode.STAND,
+)  # commanded in turn; the last of an even number frees the arms again
 RATE = 250.0  # of the controller's state: every update [Hz]
 COMMANDS, QUICK_COMMANDS = 40, 2
 CHANGES, QUICK_CHANGES = 40, 2
