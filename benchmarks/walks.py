@@ -8,7 +8,7 @@ import numpy as np
 from flights import over_stairs
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor.motion_manager.whole_body import rotation
+from valor.common import rotation
 from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
 from valor.motion_manager.joint_reference import JointReference, Setpoint
-from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.model import Model
 from valor.robot.motion_tables import HandMotion

@@ -28,7 +28,7 @@ from valor.motion_manager.joint_reference import JointReference
 from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.rejections import Rejections
 from valor.motion_manager.upper_body import UpperBody
-from valor.motion_manager.whole_body.pelvis import pelvis_limits
+from valor.motion_manager.whole_body.balance.pelvis import pelvis_limits
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer

@@ -12,12 +12,12 @@ from math import hypot, isfinite
 
 import numpy as np
 
+from valor.common import rotation
 from valor.common.behaviors import Locomotion
 from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import FEET, LEFT, Step, reach_refusal
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bifrost import Received
+from valor.common import rotation
 from valor.common.behaviors import Manipulation
 from valor.common.messages import HandGoal as HandGoalMessage
 from valor.common.topics import HAND_GOAL
@@ -12,7 +13,6 @@ from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.hand_goals import SIDES, HandGoal, HandGoals
 from valor.motion_manager.handlers.joint_setpoints import STALE
 from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.whole_body import rotation
 
 FRAMES = ("pelvis", "odom")
 FARTHEST = 10.0  # from a frame's origin that a goal is looked at at all [m]

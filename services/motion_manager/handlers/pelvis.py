@@ -11,7 +11,7 @@ from valor.common.topics import PELVIS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.joint_setpoints import STALE
 from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.whole_body.pelvis import HEIGHT, PelvisReference
+from valor.motion_manager.whole_body.balance.pelvis import HEIGHT, PelvisReference
 
 
 class PelvisHandler:

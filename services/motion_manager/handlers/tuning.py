@@ -18,7 +18,7 @@ from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.joint_gains import JointGains
 from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.whole_body.weights import TASKS, TaskWeights
+from valor.motion_manager.whole_body.tasks.weights import TASKS, TaskWeights
 from valor.robot.description import RobotDescription
 
 

@@ -13,22 +13,22 @@ from math import sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.contact import FootContacts
-from valor.motion_manager.whole_body.dcm import DcmLaw
-from valor.motion_manager.whole_body.dynamics import SOLES, ModelJoints
-from valor.motion_manager.whole_body.elimination import UnsolvableError
-from valor.motion_manager.whole_body.pelvis import PelvisReference
-from valor.motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
-from valor.motion_manager.whole_body.self_collision import SelfCollision
+from valor.motion_manager.whole_body.balance.dcm import DcmLaw
+from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
+from valor.motion_manager.whole_body.constraints.contact import FootContacts
+from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
+from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.model.dynamics import SOLES, ModelJoints
 from valor.motion_manager.whole_body.set_points import SetPoints
+from valor.motion_manager.whole_body.solver.elimination import UnsolvableError
+from valor.motion_manager.whole_body.solver.objective import Objective
+from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
-from valor.motion_manager.whole_body.tasks import Objective
+from valor.motion_manager.whole_body.tasks.weights import TaskWeights
+from valor.motion_manager.whole_body.tasks.wishes import Wishes
 from valor.motion_manager.whole_body.walking.footsteps import StepSource
 from valor.motion_manager.whole_body.walking.gait import Gait
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
-from valor.motion_manager.whole_body.weights import TaskWeights
-from valor.motion_manager.whole_body.wishes import Wishes
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 

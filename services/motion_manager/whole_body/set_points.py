@@ -9,7 +9,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel, clipped
-from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.robot.description import RobotDescription
 
 

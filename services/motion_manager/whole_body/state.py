@@ -17,7 +17,7 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from valor.motion_manager.whole_body.dynamics import Dynamics
+    from valor.motion_manager.whole_body.model.dynamics import Dynamics
 
 
 @dataclass(slots=True)

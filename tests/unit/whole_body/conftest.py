@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import load_robot
+from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.dynamics import Dynamics
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.whole_body.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.dcm import DcmLaw
-from valor.motion_manager.whole_body.reference import followed, minimum_jerk
+from valor.motion_manager.whole_body.balance.dcm import DcmLaw
+from valor.motion_manager.whole_body.balance.reference import followed, minimum_jerk
+from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, Dynamics
+from valor.motion_manager.whole_body.model.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, Dynamics
 from valor.robot.model import Model
 
 STATES = 5

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.whole_body import FloatingBaseEstimator, RobotState, rotation
-from valor.motion_manager.whole_body.attitude import LARGEST_LEVEL, Attitude
-from valor.motion_manager.whole_body.dynamics import Dynamics
-from valor.motion_manager.whole_body.odometry import FEET, NOTHING, SIZE, Odometry
+from valor.motion_manager.whole_body import FloatingBaseEstimator, RobotState
+from valor.motion_manager.whole_body.estimation.attitude import LARGEST_LEVEL, Attitude
+from valor.motion_manager.whole_body.estimation.odometry import FEET, NOTHING, SIZE, Odometry
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from tests.unit.whole_body.closed_loop import ClosedLoop
-from valor.motion_manager.whole_body import FallDetector, RobotState, rotation
-from valor.motion_manager.whole_body.support import (
+from valor.common import rotation
+from valor.motion_manager.whole_body import FallDetector, RobotState
+from valor.motion_manager.whole_body.balance.support import (
     Point,
     convex_hull,
     corners_on_ground,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.conftest import examples
 from tests.unit.whole_body.closed_loop import load_robot
 from valor.motion_manager.kernel import Kernel
-from valor.motion_manager.whole_body.limits import JointLimits
+from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
 
 ROBOT = load_robot()
 LIMITS = JointLimits(ROBOT, ROBOT.tables.whole_body, slice(0, 27))

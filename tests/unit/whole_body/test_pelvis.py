@@ -18,8 +18,13 @@ from valor.common.topics import PELVIS
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.pelvis import PelvisHandler
 from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.whole_body.dynamics import ModelJoints
-from valor.motion_manager.whole_body.pelvis import LegKinematics, PelvisReference, from_roll_pitch_yaw, roll_pitch_yaw
+from valor.motion_manager.whole_body.balance.pelvis import (
+    LegKinematics,
+    PelvisReference,
+    from_roll_pitch_yaw,
+    roll_pitch_yaw,
+)
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 

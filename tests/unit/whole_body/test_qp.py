@@ -10,13 +10,13 @@ import pytest
 
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.contact import FootContacts, contact_points, sole_generators
-from valor.motion_manager.whole_body.dynamics import SOLES, Dynamics
-from valor.motion_manager.whole_body.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
-from valor.motion_manager.whole_body.qp import Bounds, ContactForceQp, Solution
-from valor.motion_manager.whole_body.rotation import IDENTITY
+from valor.common.rotation import IDENTITY
+from valor.motion_manager.whole_body.constraints.contact import FootContacts, contact_points, sole_generators
+from valor.motion_manager.whole_body.model.dynamics import SOLES, Dynamics
+from valor.motion_manager.whole_body.solver.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
+from valor.motion_manager.whole_body.solver.objective import Objective
+from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.state import QpStatus
-from valor.motion_manager.whole_body.tasks import Objective
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.dynamics import Dynamics
-from valor.motion_manager.whole_body.self_collision import SelfCollision
+from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription

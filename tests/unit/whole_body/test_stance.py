@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from valor.motion_manager.whole_body import RobotState, rotation
-from valor.motion_manager.whole_body.reference import Feet
-from valor.motion_manager.whole_body.stance import hold, stance
+from valor.common import rotation
+from valor.motion_manager.whole_body import RobotState
+from valor.motion_manager.whole_body.balance.reference import Feet
+from valor.motion_manager.whole_body.tasks.stance import hold, stance
 
 STIFFNESS = 100.0
 

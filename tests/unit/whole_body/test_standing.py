@@ -12,7 +12,7 @@ from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
 from valor.common.table import checked, plain
 from valor.motion_manager.whole_body import QpStatus
-from valor.motion_manager.whole_body.reference import minimum_jerk
+from valor.motion_manager.whole_body.balance.reference import minimum_jerk
 from valor.robot.description import RobotDescription
 from valor.robot.tables import RobotTables
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.motion_manager.whole_body import rotation
+from valor.common import rotation
 from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose, reach_refusal
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from valor.motion_manager.whole_body import rotation
+from valor.common import rotation
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.motion_tables import Footsteps
 

@@ -11,8 +11,13 @@ from collections.abc import Sequence
 from math import hypot, inf
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.whole_body.balance.support import (
+    convex_hull,
+    corners_on_ground,
+    distance_outside,
+    sole_corners,
+)
 from valor.motion_manager.whole_body.state import RobotState
-from valor.motion_manager.whole_body.support import convex_hull, corners_on_ground, distance_outside, sole_corners
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, beside, side_by_side
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription

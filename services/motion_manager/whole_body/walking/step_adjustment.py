@@ -31,8 +31,8 @@ import casadi as ca
 import daqp
 import numpy as np
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription

@@ -17,8 +17,8 @@ from math import exp, inf
 
 import numpy as np
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import Step
 from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster, transfer_gain
 from valor.motion_manager.whole_body.walking.swing import SolePose

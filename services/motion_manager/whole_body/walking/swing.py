@@ -13,8 +13,8 @@ from math import cos, sin
 
 import numpy as np
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body import rotation
 
 FOLLOWING = 0.06  # in which a late foot goes to its foothold's new place [s]
 HURRY = 4.0  # with which it gets quicker [m/s²]

@@ -14,8 +14,8 @@ from math import cos, inf, sin
 
 import numpy as np
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body import rotation
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
 from valor.motion_manager.whole_body.walking.ground import GroundPlane
 from valor.motion_manager.whole_body.walking.swing import SolePose

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.robot.model import Model
 
 

@@ -4,8 +4,8 @@ Two shapes at a distance d approach no faster than proportionally to what is lef
 
     ḋ_min = −α·(d − d_kept),   d̈ ≥ β·(ḋ_min − ḋ)
 
-a barrier of first order on velocity, as of the joints' stops (``limits``; Ames et al. 2019; for distances: Faverjon &
-Tournassoud 1987). With the nearest points p_a and p_b and their direction n = (p_b − p_a)/d,
+a barrier of first order on velocity, as of the joints' stops (``joint_limits``; Ames et al. 2019; for distances:
+Faverjon & Tournassoud 1987). With the nearest points p_a and p_b and their direction n = (p_b − p_a)/d,
 
     ḋ = nᵀ·(J_b − J_a)·v,   d̈ = nᵀ·(J_b − J_a)·v̇ + nᵀ·(J̇_b − J̇_a)·v
 
@@ -22,8 +22,8 @@ from heapq import heappop, heappush
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.dynamics import Dynamics
-from valor.motion_manager.whole_body.elimination import Limit
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.solver.elimination import Limit
 from valor.robot.model import Model
 
 FASTEST = 4.0  # that two parts approach each other [m/s]

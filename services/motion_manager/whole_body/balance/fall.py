@@ -12,8 +12,7 @@ from __future__ import annotations
 from math import acos, degrees
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.state import RobotState
-from valor.motion_manager.whole_body.support import (
+from valor.motion_manager.whole_body.balance.support import (
     convex_hull,
     corners_on_ground,
     distance_outside,
@@ -21,6 +20,7 @@ from valor.motion_manager.whole_body.support import (
     sole_corners,
     surely_within,
 )
+from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.description import RobotDescription
 
 

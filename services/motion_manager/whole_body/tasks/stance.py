@@ -10,7 +10,7 @@ from __future__ import annotations
 import casadi as ca
 
 from valor.motion_manager.kernel import Expression
-from valor.motion_manager.whole_body.reference import Feet
+from valor.motion_manager.whole_body.balance.reference import Feet
 
 
 def stance(feet: Feet) -> Expression:

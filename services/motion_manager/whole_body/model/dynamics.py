@@ -23,10 +23,10 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.common.rotation import Quaternion
 from valor.motion_manager.kernel import Expression, Kernel, by_rows, parts
-from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.rotation import Quaternion
 from valor.robot.model import Indices, Model
 
 # Rows of ``Dynamics.jacobian`` and ``Dynamics.drift``.

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from valor.common import rotation
 from valor.motion_manager.kernel import Expression, clipped
-from valor.motion_manager.whole_body import rotation
 from valor.robot.description import RobotDescription
 
 

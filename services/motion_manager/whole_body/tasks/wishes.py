@@ -1,8 +1,8 @@
 """What balance wants of a period, in one kernel: the references, what the tasks want, and the joints' limits.
 
 The pieces are each other's modules: ``reference`` (where CoM, pelvis and chest shall be), ``dcm`` (the law), ``stance``
-(the feet to each other), ``limits``. Here they are put together, with the wishes that need no module of their own:
-orientations by k_p·e − k_d·ω, momentum and feet damped, the swinging sole along its path, the joints' posture.
+(the feet to each other), ``joint_limits``. Here they are put together, with the wishes that need no module of their
+own: orientations by k_p·e − k_d·ω, momentum and feet damped, the swinging sole along its path, the joints' posture.
 """
 
 from __future__ import annotations
@@ -13,17 +13,27 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel, by_rows, clipped, pieces
-from valor.motion_manager.whole_body import rotation, stance
-from valor.motion_manager.whole_body.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.dcm import DcmLaw
-from valor.motion_manager.whole_body.dynamics import CHEST, COM, MOMENTUM, PELVIS, ROWS, SOLES, ModelJoints, sole_rows
-from valor.motion_manager.whole_body.limits import JointLimits
-from valor.motion_manager.whole_body.pelvis import PelvisReference
-from valor.motion_manager.whole_body.reference import Begun, Feet, Led, StandReference
+from valor.motion_manager.whole_body.balance.dcm import DcmLaw
+from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
+from valor.motion_manager.whole_body.balance.reference import Begun, Feet, Led, StandReference
+from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
+from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.model.dynamics import (
+    CHEST,
+    COM,
+    MOMENTUM,
+    PELVIS,
+    ROWS,
+    SOLES,
+    ModelJoints,
+    sole_rows,
+)
 from valor.motion_manager.whole_body.set_points import SetPoints
 from valor.motion_manager.whole_body.state import RobotState, UpperBodyReference
+from valor.motion_manager.whole_body.tasks import stance
 from valor.motion_manager.whole_body.walking.gait import Gait
 from valor.robot.description import RobotDescription
 

@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression
 from valor.motion_manager.limiter import Limiter
-from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.dynamics import ModelJoints
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.model import Model
 from valor.robot.motion_tables import PelvisMotion

@@ -16,7 +16,7 @@ from math import nan
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.dynamics import (
+from valor.motion_manager.whole_body.model.dynamics import (
     CHEST,
     COM,
     MOMENTUM,
@@ -27,7 +27,7 @@ from valor.motion_manager.whole_body.dynamics import (
     ModelJoints,
     sole_rows,
 )
-from valor.motion_manager.whole_body.weights import TASKS
+from valor.motion_manager.whole_body.tasks.weights import TASKS
 from valor.robot.motion_tables import WholeBody
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks

@@ -20,11 +20,11 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.whole_body.contact import UNBOUNDED
-from valor.motion_manager.whole_body.dynamics import Dynamics
-from valor.motion_manager.whole_body.elimination import Elimination, Limit, Reduced, UnsolvableError
+from valor.motion_manager.whole_body.constraints.contact import UNBOUNDED
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.solver.elimination import Elimination, Limit, Reduced, UnsolvableError
+from valor.motion_manager.whole_body.solver.objective import Objective
 from valor.motion_manager.whole_body.state import QpStatus
-from valor.motion_manager.whole_body.tasks import Objective
 
 ROUNDS = 8  # of limits joining the problem
 TOLERANCE = 1e-6  # of a limit [N·m, rad/s²]

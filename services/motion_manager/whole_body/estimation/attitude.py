@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from valor.common import rotation
+from valor.common.rotation import Quaternion, Vector
 from valor.motion_manager.kernel import Expression
-from valor.motion_manager.whole_body import rotation
-from valor.motion_manager.whole_body.rotation import Quaternion, Vector
 
 LARGEST_LEVEL = 0.03  # that an IMU's level is believed to be off about an axis [rad]
 SIZE = 15

@@ -27,16 +27,17 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from valor.common import rotation
 from valor.common.messages import Proprioceptor
 from valor.motion_manager.kernel import Expression, Kernel, parts, pieces
-from valor.motion_manager.whole_body import attitude, foot_contact, rotation
-from valor.motion_manager.whole_body.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.attitude import Attitude
-from valor.motion_manager.whole_body.dcm import DcmLaw
-from valor.motion_manager.whole_body.dynamics import COM, SOLES, Dynamics
-from valor.motion_manager.whole_body.foot_contact import FootContact, FootSense, Past
-from valor.motion_manager.whole_body.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
-from valor.motion_manager.whole_body.pelvis import roll_pitch_yaw
+from valor.motion_manager.whole_body.balance.dcm import DcmLaw
+from valor.motion_manager.whole_body.balance.pelvis import roll_pitch_yaw
+from valor.motion_manager.whole_body.estimation import attitude, foot_contact
+from valor.motion_manager.whole_body.estimation.attitude import Attitude
+from valor.motion_manager.whole_body.estimation.foot_contact import FootContact, FootSense, Past
+from valor.motion_manager.whole_body.estimation.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
+from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
+from valor.motion_manager.whole_body.model.dynamics import COM, SOLES, Dynamics
 from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model

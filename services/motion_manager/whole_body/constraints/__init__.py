@@ -1,0 +1,1 @@
+"""What the QP must keep: contact forces, limits of joints, distances of parts."""

@@ -1,0 +1,1 @@
+"""Where the robot is: the floating-base estimator and its parts."""

@@ -1,0 +1,1 @@
+"""The reduced model of the robot, evaluated: kinematics, dynamics, what the arms do to the centre of mass."""

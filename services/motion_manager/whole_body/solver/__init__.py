@@ -1,0 +1,1 @@
+"""The QP: objective, elimination, solution."""

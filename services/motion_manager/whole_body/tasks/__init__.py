@@ -1,0 +1,1 @@
+"""What the QP's objective wants."""
