@@ -26,14 +26,10 @@ import bifrost
 from valor.common import membership
 from valor.common.instance import Instance
 from valor.common.messages import (
-    BehaviorReply,
     BehaviorRequest,
     DeviceStatus,
     JointSetpoints,
-    MotionState,
     Motor,
-    Proprioceptor,
-    Statistics,
 )
 from valor.common.topics import BEHAVIOR, DEVICES, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
 
@@ -54,7 +50,7 @@ def set_points(node: bifrost.Node, seconds: float) -> int:
     """``JointSetpoints`` of a robot time long past."""
     nothing = np.zeros(1)
     message = JointSetpoints(time=1, names=["neck_yaw"], position=nothing, velocity=nothing, acceleration=nothing)
-    publisher = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    publisher = JOINT_SETPOINTS.publisher(node)
     time.sleep(0.5)  # until it is found
     return _sent(lambda: publisher.publish(message), seconds)
 
@@ -63,14 +59,14 @@ def latest_values(node: bifrost.Node, seconds: float) -> int:
     """``DeviceStatus``, of which the newest alone counts."""
     none = np.zeros(0)
     heard = DeviceStatus(0, [], [], [], none, none, none, none, none, none, "", "")
-    publisher = node.publisher(DEVICES.name, DeviceStatus)
+    publisher = DEVICES.publisher(node)
     time.sleep(0.5)
     return _sent(lambda: publisher.publish(heard), seconds)
 
 
 def requests(node: bifrost.Node, seconds: float) -> int:
     """Requests for a behavior that is none, without waiting for an answer."""
-    client = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+    client = BEHAVIOR.client(node)
     request = BehaviorRequest(behavior="moonwalk")
     client.call(request, timeout=5.0)
     return _sent(lambda: client.ask(request, timeout=1.0), seconds)
@@ -102,13 +98,13 @@ FLOODS: dict[str, Callable[[bifrost.Node, float], int]] = {
     "ROS set-points": ros_set_points,
 }
 
-OWNERS = {"set-points": JOINT_SETPOINTS.publisher, "latest values": DEVICES.publisher}
+OWNERS = {"set-points": JOINT_SETPOINTS.owner, "latest values": DEVICES.owner}
 """Whose key a flood is sent with: nobody else is heard."""
 
 
 def listen(node: bifrost.Node, seconds: float) -> list[bifrost.Received[Motor]]:
     """All Motors of a while."""
-    subscriber = node.subscriber(MOTOR.name, Motor, queue=100_000)
+    subscriber = MOTOR.subscriber(node, queue=100_000)
     end = time.monotonic() + seconds
     heard: list[bifrost.Received[Motor]] = []
     while (remaining := end - time.monotonic()) > 0.0:
@@ -127,7 +123,7 @@ def row(name: str, node: bifrost.Node, environment: dict[str, str], seconds: flo
     if flooder.stdout.readline().strip() != "begins":
         sys.exit(f"{name}: the flooder did not begin")
     heard = listen(node, seconds)
-    statistics = node.subscriber(STATISTICS["motion_manager"].name, Statistics).receive(timeout=5.0)
+    statistics = STATISTICS["motion_manager"].subscriber(node).receive(timeout=5.0)
     sent = int(flooder.communicate()[0])
     period = np.diff([received.stamp for received in heard]) * 1e-6
     passed = np.diff([received.message.proprioceptor_sequence for received in heard])
@@ -157,7 +153,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home:
         instance = Instance("floods", Path(home) / "floods")
         with started(instance, "--no-bag", *shlex.split(options.up)) as node:
-            node.subscriber(PROPRIOCEPTOR.name, Proprioceptor).receive(timeout=20.0)
+            PROPRIOCEPTOR.subscriber(node).receive(timeout=20.0)
             time.sleep(SETTLING)
             environment = os.environ | instance.environment()
             print("| flood | sent [1/s] | Motors [1/s] | period [ms]: median | 99 % | 99.9 % | longest "
@@ -165,7 +161,7 @@ def main() -> None:
             print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
             for name in options.only.split(","):
                 print(row(name, node, environment, options.seconds), flush=True)
-            state = node.subscriber(MOTION_STATE.name, MotionState).receive(timeout=10.0)
+            state = MOTION_STATE.subscriber(node).receive(timeout=10.0)
             print(f"\nAt the end {state.message.behavior if state else 'silent'}; load {os.getloadavg()[0]:.1f} "
                   f"on {os.cpu_count()} cores.")  # fmt: skip
 

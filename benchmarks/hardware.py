@@ -26,7 +26,7 @@ from rich.table import Table
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import ClockStatus, MotionState, Statistics
+from valor.common.messages import MotionState
 from valor.common.processes import BY_NAME
 from valor.common.topics import CLOCK, MOTION_STATE, STATISTICS
 from valor.valorctl.leftovers import processes_of
@@ -57,9 +57,9 @@ class Watch:
     """Reads clock and processes of a running instance."""
 
     def __init__(self, instance: Instance, node: bifrost.Node) -> None:
-        self._clock = node.subscriber(CLOCK.name, ClockStatus)
-        self._states = node.subscriber(MOTION_STATE.name, MotionState)
-        self._emulators = node.subscriber(STATISTICS["device_emulators"].name, Statistics)
+        self._clock = CLOCK.subscriber(node)
+        self._states = MOTION_STATE.subscriber(node)
+        self._emulators = STATISTICS["device_emulators"].subscriber(node)
         self._node = node
         self._processes = {_name(each): each for each in processes_of(instance)}
 

@@ -21,10 +21,10 @@ from rich.table import Table
 
 import bifrost
 from valor.common.instance import Instance
-from valor.common.messages import HdtCommand, HdtState, Statistics
-from valor.common.topics import STATISTICS
+from valor.common.messages import Statistics
+from valor.common.topics import HDT_COMMANDS, HDT_STATES, STATISTICS
 
-LIMBS = ("left_arm", "right_arm", "left_hand", "right_hand")
+LIMBS = tuple(HDT_COMMANDS)
 PROCESSES = ("hdt_driver", "hdt_bridge", "comms_manager", "device_emulators")
 
 
@@ -32,9 +32,8 @@ class Listener:
     """Commands and states of one limb, with when each was published [s]."""
 
     def __init__(self, node: bifrost.Node, limb: str) -> None:
-        topic = f"comms_manager/hdt/{limb}"
-        self._commands = node.subscriber(f"{topic}/command", HdtCommand, queue=10_000)
-        self._states = node.subscriber(f"{topic}/state", HdtState, queue=10_000)
+        self._commands = HDT_COMMANDS[limb].subscriber(node, queue=10_000)
+        self._states = HDT_STATES[limb].subscriber(node, queue=10_000)
         self._sent: dict[int, float] = {}
         self.latencies: list[float] = []  # of commands that acted [s]
         self.came: list[float] = []  # states
@@ -52,7 +51,7 @@ class Listener:
 def measure(system: System, seconds: float) -> tuple[dict[str, Listener], dict[str, list[Statistics]]]:
     """Listen for a while."""
     limbs = {limb: Listener(system.node, limb) for limb in LIMBS}
-    fares = {name: system.node.subscriber(STATISTICS[name].name, Statistics, queue=1000) for name in PROCESSES}
+    fares = {name: STATISTICS[name].subscriber(system.node, queue=1000) for name in PROCESSES}
     said: dict[str, list[Statistics]] = {name: [] for name in PROCESSES}
     until = time.monotonic() + seconds
     while time.monotonic() < until:

@@ -28,10 +28,7 @@ from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.integration.device_system import Newest, RobotOnDevices, on_devices
 from valor.common.messages import (
     Footstep,
-    FootstepPlanReply,
     FootstepPlanRequest,
-    GroundTruth,
-    Proprioceptor,
     VelocityCommand,
 )
 from valor.common.topics import FOOTSTEP_PLAN, GROUND_TRUTH, PROPRIOCEPTOR, VELOCITY
@@ -107,10 +104,10 @@ class Robot(RobotOnDevices):
 
     def __init__(self, running: RunningInstance) -> None:
         super().__init__(running)
-        self._truth = Newest(self.node.subscriber(GROUND_TRUTH.name, GroundTruth))
-        self._measured = Newest(self.node.subscriber(PROPRIOCEPTOR.name, Proprioceptor))
-        self._velocity = self.node.publisher(VELOCITY.name, VelocityCommand)
-        self._plans = self.node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
+        self._truth = Newest(GROUND_TRUTH.subscriber(self.node))
+        self._measured = Newest(PROPRIOCEPTOR.subscriber(self.node))
+        self._velocity = VELOCITY.publisher(self.node)
+        self._plans = FOOTSTEP_PLAN.client(self.node)
 
     def walk(self, seconds: float) -> None:
         """Straight ahead, for so long [robot time]."""

@@ -17,7 +17,7 @@ from observer import Observer
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import PushReply, PushRequest
+from valor.common.messages import PushRequest
 from valor.common.topics import PUSH
 from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
@@ -61,7 +61,7 @@ def push(node: bifrost.Node, impulse: tuple[float, float, float]) -> None:
     Raises:
         ValorError: it is refused.
     """
-    client = node.client(PUSH.name, PushRequest, PushReply)
+    client = PUSH.client(node)
     reply = client.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
     if not reply.accepted:
         raise ValorError(f"push refused: {reply.reason}")

@@ -15,8 +15,8 @@ import bifrost
 from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Track
 from valor.common.errors import ValorError
-from valor.common.messages import ClockStatus, GroundTruth, MotionState, Proprioceptor, Statistics
-from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_MANAGER_STATISTICS, MOTION_STATE, PROPRIOCEPTOR
+from valor.common.messages import ClockStatus, GroundTruth, MotionState, Statistics
+from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR, STATISTICS
 from valor.robot.description import RobotDescription
 
 SILENCE = 10.0  # of the Motion Manager, after which a run is given up [s]
@@ -32,11 +32,11 @@ class Observer:
     state: MotionState
 
     def __init__(self, node: bifrost.Node, robot: RobotDescription, tell: Callable[[str], None]) -> None:
-        self._states = node.subscriber(MOTION_STATE.name, MotionState, queue=20000)
-        self._measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=20000)
-        self._truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=20000)
-        self._clock = node.subscriber(CLOCK.name, ClockStatus, queue=1000)
-        self._statistics = node.subscriber(MOTION_MANAGER_STATISTICS.name, Statistics, queue=1000)
+        self._states = MOTION_STATE.subscriber(node, queue=20000)
+        self._measured = PROPRIOCEPTOR.subscriber(node, queue=20000)
+        self._truths = GROUND_TRUTH.subscriber(node, queue=20000)
+        self._clock = CLOCK.subscriber(node, queue=1000)
+        self._statistics = STATISTICS["motion_manager"].subscriber(node, queue=1000)
         self._tell = tell
         self._track = TrackBuilder(robot)
         self._truth: list[GroundTruth] = []  # first and last

@@ -38,8 +38,8 @@ from rich.table import Table
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import JointSetpoints, Motor, Proprioceptor, Statistics
-from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, VALOR_ROS_CONTROLLER_STATISTICS
+from valor.common.messages import JointSetpoints, Statistics
+from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, STATISTICS
 from valor.robot.description import RobotDescription
 
 INSTANCE = "pathways"
@@ -231,7 +231,7 @@ def measure_floor(ears: Ears, robot: RobotDescription, seconds: float) -> tuple[
 
 def measure_state(ears: Ears, node: bifrost.Node, seconds: float) -> Samples:
     """Proprioceptor sent to the joint states of the same time received."""
-    proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=2000)
+    proprioceptor = PROPRIOCEPTOR.subscriber(node, queue=2000)
     ears.spin(lambda: False, 1.0)
     sent: dict[int, int] = {}
     proprioceptor.drain()
@@ -289,9 +289,9 @@ def measure_commands(
     ears.spin(lambda: ears.command.get_subscription_count() > 0, PATIENCE, "a subscriber of the trajectories")
     joint, names = robot.index[JOINT], list(robot.tables.groups["left_arm"])
     home = [float(robot.nominal_posture[robot.index[name]]) for name in names]
-    setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=2000)
-    motors = node.subscriber(MOTOR.name, Motor, queue=2000)
-    states = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=2000)
+    setpoints = JOINT_SETPOINTS.subscriber(node, queue=2000)
+    motors = MOTOR.subscriber(node, queue=2000)
+    states = PROPRIOCEPTOR.subscriber(node, queue=2000)
     to_setpoint: Samples = []
     to_motor: Samples = []
     to_joint: Samples = []
@@ -335,7 +335,7 @@ def cost(node: bifrost.Node, seconds: float) -> dict[str, float]:
 
     A loaded machine slows lockstep down, so CPU is also told per cycle, and what that would be at the full rate.
     """
-    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics, queue=1000)
+    statistics = STATISTICS["valor_ros_controller"].subscriber(node, queue=1000)
 
     def newest() -> Statistics:
         received = statistics.receive(PATIENCE)

@@ -63,7 +63,7 @@ def _watch(instance: Instance, node: bifrost.Node, minutes: float, bag: Path) ->
         sys.exit(change.describe())
     pid = Supervisor(instance).processes()["bag_recorder"].pid
     assert pid is not None
-    senses = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+    senses = PROPRIOCEPTOR.subscriber(node)
     time.sleep(SETTLING)
     sampler = Sampler({"bag_recorder": pid})
     _print_row("after [min]", "of a core [%]", "most in a second [%]", "memory [MiB]", "bag [MB/s]",

@@ -30,7 +30,7 @@ from valor.analysis.pace import Pace
 from valor.bags import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import GroundTruth, MotionState, Statistics
+from valor.common.messages import GroundTruth, Statistics
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, STATISTICS
 
 SETTLING = 5.0  # from the servos' posture to the controller's, after `up` [s]
@@ -59,9 +59,9 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
     """Start, stand, listen, stop."""
     instance = Instance(f"standing-{clock}-{seed}", home)
     with started(instance, "--clock", clock, "--seed", str(seed), "--actuators", "hardware") as node:
-        states = node.subscriber(MOTION_STATE.name, MotionState, queue=2000)
-        truths = node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=2000)
-        statistics = {service: node.subscriber(topic.name, Statistics) for service, topic in STATISTICS.items()}
+        states = MOTION_STATE.subscriber(node, queue=2000)
+        truths = GROUND_TRUTH.subscriber(node, queue=2000)
+        statistics = {service: topic.subscriber(node) for service, topic in STATISTICS.items()}
         ticks: list[float] = []
         motors: list[float] = []
         truth: list[GroundTruth] = []

@@ -42,8 +42,8 @@ class Bench:
     def __init__(self, system: System, variant: str, robot: RobotDescription) -> None:
         self.system, self.variant, self.robot = system, variant, robot
         self.instance = system.instance
-        self._truth: bifrost.Subscriber[GroundTruth] = system.node.subscriber(GROUND_TRUTH.name, GroundTruth)
-        self._measured: bifrost.Subscriber[Proprioceptor] = system.node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._truth: bifrost.Subscriber[GroundTruth] = GROUND_TRUTH.subscriber(system.node)
+        self._measured: bifrost.Subscriber[Proprioceptor] = PROPRIOCEPTOR.subscriber(system.node)
         self._model = full_model(robot)
 
     def hear(self) -> None:

@@ -81,7 +81,7 @@ def expected_topics(profile: str, robot: RobotDescription) -> set[str]:
     """What a bag of a run of all trials must hold."""
     processes = {each.name for each in Profile.load(Path(__file__).parents[1] / "deploy" / f"{profile}.yaml")
                  .suiting(robot).table}  # fmt: skip
-    always = {each.name for each in TOPICS if each.publisher in processes and each.rate is not None}
+    always = {each.name for each in TOPICS if each.owner in processes and each.rate is not None}
     kept = {each.name for each in TOPICS if each.record_every}
     ours = always & kept - {PELVIS.name} | ({DEVICES.name} if profile == "hardware" else set())
     return {f"/bifrost/{name}" for name in ours} | set(ROS_TOPICS)

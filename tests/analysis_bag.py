@@ -130,7 +130,7 @@ def write_messages(path: Path, messages: Iterable[tuple[Topic, Message]]) -> Non
             if topic.name not in connections:
                 connections[topic.name] = writer.add_connection(f"/bifrost/{topic.name}", name, typestore=store)
             wall = 1_700_000_000_000_000_000 + i * 1_000_000
-            header = header_type(stamp=stamp_type(sec=wall // 10**9, nanosec=wall % 10**9), frame_id=topic.publisher)
+            header = header_type(stamp=stamp_type(sec=wall // 10**9, nanosec=wall % 10**9), frame_id=topic.owner)
             fields = {field: getattr(message, field) for field in message.__struct_fields__}
             twin = store.types[name](header=header, bifrost_sequence=i, **fields)
             writer.write(connections[topic.name], wall, store.serialize_cdr(twin, name))

@@ -21,7 +21,6 @@ from hypothesis.database import DirectoryBasedExampleDatabase
 
 import bifrost
 from valor.common.instance import Instance, Settings
-from valor.common.messages import Statistics
 from valor.common.processes import BY_NAME
 from valor.common.table import checked, plain
 from valor.common.topics import STATISTICS
@@ -155,7 +154,7 @@ class RunningInstance:
         """
         process = self._running[name]
         with bifrost.Node(f"waiting_for_{name}", network=self.network) as node:
-            statistics = node.subscriber(STATISTICS[name].name, Statistics)
+            statistics = STATISTICS[name].subscriber(node)
             deadline = time.monotonic() + timeout
             while time.monotonic() < deadline:
                 received = statistics.receive(timeout=0.2)

@@ -93,7 +93,7 @@ class StatisticsPublisher:
     PERIOD = 1.0  # [s]
 
     def __init__(self, node: bifrost.Node, service: str, control_period: float) -> None:
-        self._publisher = node.publisher(STATISTICS[service].name, Statistics, latched=True)
+        self._publisher = STATISTICS[service].publisher(node)
         self._service = service
         self._control_period = control_period
         self._cpu_time = time.process_time()

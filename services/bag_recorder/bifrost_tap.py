@@ -25,9 +25,9 @@ _log = logging.getLogger("bag_recorder")
 class _Tap:
     """One topic."""
 
-    def __init__(self, node: bifrost.Node, topic: Topic) -> None:
+    def __init__(self, node: bifrost.Node, topic: Topic[Any]) -> None:
         self.name = topic.name
-        self.subscriber = node.subscriber(topic.name, topic.type, queue=QUEUE)
+        self.subscriber = topic.subscriber(node, queue=QUEUE, limited=False)
         self.every = topic.record_every
         self.encode = TwinEncoder(topic.type).encode
         name = twin_type(topic.type)
@@ -52,7 +52,7 @@ class BifrostTap:
         self,
         node: bifrost.Node,
         clock: WallClock,
-        topics: Sequence[Topic] = TOPICS,
+        topics: Sequence[Topic[Any]] = TOPICS,
         selection: Selection = EVERYTHING,
         alive: Callable[[], None] = lambda: None,
     ) -> None:

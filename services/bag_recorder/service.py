@@ -16,7 +16,7 @@ from valor.bag_recorder.shelf import Shelf, told
 from valor.bags import recordings
 from valor.bags.selection import Selection
 from valor.common.errors import ConfigurationError
-from valor.common.messages import MotionState, SnapReply, SnapRequest
+from valor.common.messages import SnapReply, SnapRequest
 from valor.common.resources import REPAIR
 from valor.common.topics import MOTION_STATE, SNAP
 from valor.common.trace import Stage
@@ -50,11 +50,11 @@ class BagRecorder:
         except UnknownTypeError as error:
             raise ConfigurationError(f"{error}: {REPAIR}") from None
         self._ros = RosTap(context.settings.ros_domain_id, self._clock, selection, self._statistics.idle)
-        self._snaps = context.node.server(SNAP.name, SnapRequest, SnapReply, self._snap)
+        self._snaps = SNAP.server(context.node, self._snap)
         self._recording: Continuous | LastSeconds
         if settings.ring_seconds is not None:
             self._recording = LastSeconds(self._shelf, settings.ring_seconds)
-            self._states = context.node.subscriber(MOTION_STATE.name, MotionState)
+            self._states = MOTION_STATE.subscriber(context.node)
             _log.info("holding the last %g s", settings.ring_seconds)
             return
         try:

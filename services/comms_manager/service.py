@@ -6,8 +6,7 @@ import time
 from collections import deque
 
 import bifrost
-from valor.common.floods import REQUESTS, STREAM
-from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, Motor, Proprioceptor
+from valor.common.messages import ClockStatus, Proprioceptor
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR, STOP
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
@@ -29,14 +28,14 @@ class CommsManager:
         self._statistics = context.statistics
         self._trace = context.trace
         node = context.node
-        self._proprioceptor = node.publisher(PROPRIOCEPTOR.name, Proprioceptor)
+        self._proprioceptor = PROPRIOCEPTOR.publisher(node)
         self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
-        motors = node.subscriber(MOTOR.name, Motor, queue=AT_ONCE, limit=STREAM)
+        motors = MOTOR.subscriber(node, queue=AT_ONCE)
         self._leader = Leader(BalanceReflex(context.robot), self._latch)
-        self._stop = node.server(STOP.name, BehaviorRequest, BehaviorReply, self._leader.stop, REQUESTS)
+        self._stop = STOP.server(node, self._leader.stop)
         self._statistics.watch((motors, self._stop))
         self._commands = Commands(motors, context.robot, self._leader)
-        self._clock = ClockReport(node.publisher(CLOCK.name, ClockStatus, latched=True))
+        self._clock = ClockReport(CLOCK.publisher(node))
         self._backend = make_backend(context)
         # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier
         # runs, so that a Motor which answers the world before a restart is known.

@@ -20,7 +20,7 @@ class FaultServer:
 
     def __init__(self, node: bifrost.Node, emulators: Sequence[Emulator]) -> None:
         self._emulators = {emulator.name: emulator for emulator in emulators}
-        self._server = node.server(FAULT.name, FaultRequest, FaultReply, self._inject)
+        self._server = FAULT.server(node, self._inject)
         self._now = 0.0
 
     def serve(self, now: float) -> None:

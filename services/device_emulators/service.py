@@ -6,7 +6,6 @@ import logging
 import selectors
 import time
 
-from valor.common.messages import GroundTruth
 from valor.common.pacing import Wall
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
@@ -35,7 +34,7 @@ class DeviceEmulators:
         context.instance.ports.mkdir(exist_ok=True)
         for name in context.robot.tables.devices:
             self._emulators.append(make(name, context.instance, context.settings, context.robot))
-        self._truth = Truth(context.robot, self._robot.plant, context.node.publisher(GROUND_TRUTH.name, GroundTruth))
+        self._truth = Truth(context.robot, self._robot.plant, GROUND_TRUTH.publisher(context.node))
         self._push = PushServer(context.node, self._robot.plant)
         self._faults = FaultServer(context.node, self._emulators)
         self._started = time.monotonic_ns() - context.settings.epoch  # in robot time [ns]

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import bifrost
-from valor.common.floods import COMMANDS, STREAM
 from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 from valor.footstep_converter.plan import PlannedStep
@@ -23,8 +22,8 @@ class MotionSystem:
 
     def __init__(self, node: bifrost.Node) -> None:
         self._node = node
-        self._client = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
-        self._step_status = node.subscriber(STEP_STATUS.name, StepStatus, queue=AT_ONCE, limit=COMMANDS)
+        self._client = FOOTSTEP_PLAN.client(node)
+        self._step_status = STEP_STATUS.subscriber(node, queue=AT_ONCE)
         self.heard = (self._step_status,)
         # 500 messages a second: subscribed to only while a plan runs.
         self._motion_state: bifrost.Subscriber[MotionState] | None = None
@@ -45,7 +44,7 @@ class MotionSystem:
     def watch(self, watched: bool) -> None:
         """Hear the Motion Manager's behavior, or no longer."""
         if watched and self._motion_state is None:
-            self._motion_state = self._node.subscriber(MOTION_STATE.name, MotionState, limit=STREAM)
+            self._motion_state = MOTION_STATE.subscriber(self._node)
         elif not watched and self._motion_state is not None:
             self._motion_state.close()
             self._motion_state = None

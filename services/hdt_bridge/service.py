@@ -20,8 +20,8 @@ from valor_msgs.msg import HdtState as RosState
 
 import bifrost
 from valor.common.errors import ConfigurationError
-from valor.common.messages import HdtCommand, HdtState, Statistics
-from valor.common.topics import STATISTICS, TOPICS
+from valor.common.messages import HdtCommand, HdtState
+from valor.common.topics import STATISTICS, hdt_topics
 from valor.devices.table import HdtBifrost
 from valor.hdt_bridge.driver_report import DRIVER, statistics
 from valor.hdt_bridge.twin import Twin
@@ -36,12 +36,8 @@ class _Limb:
     """The two topics of a limb, on both sides."""
 
     def __init__(self, bifrost_node: bifrost.Node, ros_node: Any, name: str) -> None:
-        topic = f"comms_manager/hdt/{name}"
-        for each in (f"{topic}/command", f"{topic}/state"):
-            if all(row.name != each for row in TOPICS):
-                raise ConfigurationError(f"robot.yaml: devices: limb {name!r} has no Bifrost topic {each}")
-        self.commands = bifrost_node.subscriber(f"{topic}/command", HdtCommand)
-        self._states = bifrost_node.publisher(f"{topic}/state", HdtState)
+        commands, states = hdt_topics(name)
+        self.commands, self._states = commands.subscriber(bifrost_node), states.publisher(bifrost_node)
         self._ros_commands = ros_node.create_publisher(RosCommand, f"/hdt/{name}/command", _NEWEST)
         self._ros_states = ros_node.create_subscription(RosState, f"/hdt/{name}/state", _unused, _NEWEST)
         self._command, self._state = Twin(HdtCommand, RosCommand), Twin(HdtState, RosState)
@@ -80,7 +76,7 @@ class HdtBridge:
             raise ConfigurationError(f"{context.robot.folder / 'robot.yaml'}: devices: none of kind hdt_bifrost")
         self._limbs = [_Limb(context.node, self._node, name) for name in names]
         self._diagnostics = self._node.create_subscription(DiagnosticArray, "/diagnostics", _unused, 10)
-        self._driver = context.node.publisher(STATISTICS[DRIVER].name, Statistics, latched=True)
+        self._driver = STATISTICS[DRIVER].publisher(context.node)
 
     def run(self) -> None:
         """Forward until told to stop."""

@@ -11,26 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 import bifrost
-from valor.common.floods import COMMANDS, REQUESTS, STREAM
 from valor.common.messages import (
-    BalanceWeights,
     BehaviorChange,
-    BehaviorReply,
-    BehaviorRequest,
-    DeviceStatus,
-    FootstepPlanReply,
-    FootstepPlanRequest,
-    HandGoal,
-    HandGoalStatus,
-    JointGains,
-    JointSetpoints,
-    MotionState,
-    Motor,
-    PelvisSetpoint,
     Proprioceptor,
-    Rejection,
-    StepStatus,
-    VelocityCommand,
 )
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
@@ -62,9 +45,6 @@ from valor.service import Context, quiet_collector
 COMMANDS_AT_ONCE = 8  # of one topic, between two looks for a Proprioceptor
 COMMANDS_TIME = 2e-4  # likewise, of all topics together; of each that has any, one at least [s]
 REQUESTS_AT_ONCE = 2  # of one topic, likewise
-SETPOINT_QUEUE = 16  # joints' and pelvis': more than that in one control period are dropped and counted
-VELOCITY_QUEUE = 4  # likewise
-DEMAND_QUEUE = 4  # likewise, of what comes on demand: hand goals, gains, weights
 HAND_STATUS_PERIOD = 0.1  # while a goal leads a hand [s of robot time]
 STEP_STATUS_PERIOD = 0.1  # [s of robot time]
 SILENCE = 2.0  # without a Proprioceptor for so long, this is not in control of a robot [s]
@@ -89,27 +69,23 @@ class MotionManagerService:
         self._statistics.state("starting", "building the Whole-Body Controller")
         node = context.node
         self._manager = MotionManager(context.robot, controller_model(context.robot))
-        self._motor = node.publisher(MOTOR.name, Motor)
-        self._motion_state = node.publisher(MOTION_STATE.name, MotionState)
-        self._behavior_change = node.publisher(BEHAVIOR_CHANGE.name, BehaviorChange, latched=True)
-        self._rejection = node.publisher(REJECTION.name, Rejection)
-        self._step_status = node.publisher(STEP_STATUS.name, StepStatus)
-        self._setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=SETPOINT_QUEUE, limit=COMMANDS)
-        self._velocity = node.subscriber(VELOCITY.name, VelocityCommand, queue=VELOCITY_QUEUE, limit=COMMANDS)
-        self._pelvis = node.subscriber(PELVIS.name, PelvisSetpoint, queue=SETPOINT_QUEUE, limit=COMMANDS)
-        self._hand_goal = node.subscriber(HAND_GOAL.name, HandGoal, queue=DEMAND_QUEUE, limit=COMMANDS)
-        self._hand_status = node.publisher(HAND_GOAL_STATUS.name, HandGoalStatus)
+        self._motor = MOTOR.publisher(node)
+        self._motion_state = MOTION_STATE.publisher(node)
+        self._behavior_change = BEHAVIOR_CHANGE.publisher(node)
+        self._rejection = REJECTION.publisher(node)
+        self._step_status = STEP_STATUS.publisher(node)
+        self._setpoints = JOINT_SETPOINTS.subscriber(node)
+        self._velocity = VELOCITY.subscriber(node)
+        self._pelvis = PELVIS.subscriber(node)
+        self._hand_goal = HAND_GOAL.subscriber(node)
+        self._hand_status = HAND_GOAL_STATUS.publisher(node)
         self._hand_changes = 0
         self._hand_status_due = 0
-        self._gains = node.subscriber(JOINT_GAINS.name, JointGains, queue=DEMAND_QUEUE, limit=COMMANDS)
-        self._weights = node.subscriber(BALANCE_WEIGHTS.name, BalanceWeights, queue=DEMAND_QUEUE, limit=COMMANDS)
-        self._behavior = node.server(
-            BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._manager.behavior_handler.handle, REQUESTS
-        )
-        self._footstep_plan = node.server(
-            FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._manager.footstep_handler.handle, REQUESTS
-        )
-        self._devices = node.subscriber(DEVICES.name, DeviceStatus, limit=COMMANDS)
+        self._gains = JOINT_GAINS.subscriber(node)
+        self._weights = BALANCE_WEIGHTS.subscriber(node)
+        self._behavior = BEHAVIOR.server(node, self._manager.behavior_handler.handle)
+        self._footstep_plan = FOOTSTEP_PLAN.server(node, self._manager.footstep_handler.handle)
+        self._devices = DEVICES.subscriber(node)
         self._commands: dict[Input, Callable[[], None]] = {
             self._setpoints: self._take_setpoints,
             self._velocity: self._take_velocities,
@@ -124,7 +100,7 @@ class MotionManagerService:
             self._devices: self._hear_devices,
         }
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
-        self._proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, limit=STREAM)
+        self._proprioceptor = PROPRIOCEPTOR.subscriber(node)
         self._inputs: bifrost.Poller[Input] = bifrost.Poller((self._proprioceptor, *self._commands, *self._requests))
         self._looked = float("inf")  # when the inputs were, monotonic [s]
         self._commands_end = 0.0  # when no more of them are begun with [s]
@@ -187,9 +163,9 @@ class MotionManagerService:
         self._trace.mark(Stage.DECODE)
         if received is None:
             return None, woken, waiting
-        if received.origin != PROPRIOCEPTOR.publisher:
+        if received.origin != PROPRIOCEPTOR.owner:
             # A bag played back into a running system must not be taken for the robot.
-            reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.publisher}"
+            reason = f"comes from {received.origin}; expected {PROPRIOCEPTOR.owner}"
             self._manager.rejections.add(PROPRIOCEPTOR.name, received.origin, "origin", reason)
             return None, woken, waiting
         return received.message, min(woken, received.arrived * 1e-9), waiting
@@ -289,7 +265,7 @@ class MotionManagerService:
 
     def _hear_devices(self) -> None:
         devices = self._devices.latest()
-        if devices is not None and devices.origin == DEVICES.publisher:
+        if devices is not None and devices.origin == DEVICES.owner:
             self._manager.device_reactions.hear(devices.message)
 
     def _report_hands(self) -> None:

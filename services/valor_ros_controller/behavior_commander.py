@@ -9,7 +9,7 @@ from typing import Protocol
 import bifrost
 from valor.common import topics
 from valor.common.behaviors import STOPPED
-from valor.common.messages import BehaviorReply, BehaviorRequest
+from valor.common.messages import BehaviorRequest
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
@@ -53,8 +53,8 @@ class BehaviorCommander(threading.Thread):
         self.commands: RealTimeBuffer[tuple[int, str]] = RealTimeBuffer()
         self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
         self.answered: Callable[[], None] = lambda: None
-        self._client = node.client(topics.BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._stopper = node.client(topics.STOP.name, BehaviorRequest, BehaviorReply)
+        self._client = topics.BEHAVIOR.client(node)
+        self._stopper = topics.STOP.client(node)
         self._wake = threading.Event()
         self._closing = False
         self.start()

@@ -16,7 +16,6 @@ import numpy as np
 import bifrost
 from valor.common import topics
 from valor.common.arrays import FloatArray
-from valor.common.floods import COMMANDS, STREAM
 from valor.common.messages import (
     ControlModeReport,
     JointSetpoints,
@@ -77,13 +76,13 @@ class ValorEscherInterface:
         self._decimation = decimation
         self._timeout = silence_timeout
         self._n = len(hw.robot.joints)
-        self._proprioceptor = node.subscriber(topics.PROPRIOCEPTOR.name, Proprioceptor, limit=STREAM)
-        self._motion_state = node.subscriber(topics.MOTION_STATE.name, MotionState, limit=STREAM)
-        self._step_status = node.subscriber(topics.STEP_STATUS.name, StepStatus, limit=COMMANDS)
+        self._proprioceptor = topics.PROPRIOCEPTOR.subscriber(node)
+        self._motion_state = topics.MOTION_STATE.subscriber(node)
+        self._step_status = topics.STEP_STATUS.subscriber(node)
         self.heard = (self._proprioceptor, self._motion_state, self._step_status)
-        self._setpoints = node.publisher(topics.JOINT_SETPOINTS.name, JointSetpoints)
-        self._pelvis = node.publisher(topics.PELVIS.name, PelvisSetpoint)
-        self._control_mode = node.publisher(topics.CONTROL_MODE.name, ControlModeReport, latched=True)
+        self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
+        self._pelvis = topics.PELVIS.publisher(node)
+        self._control_mode = topics.CONTROL_MODE.publisher(node)
         self._commander = commander
         commander.answered = self.wake
         self._transition: BehaviorTransition | None = None

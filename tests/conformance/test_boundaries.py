@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from valor.common.processes import PROCESSES
+from valor.common.processes import DAEMON, PROCESSES
 from valor.common.topics import SERVICE_TOPICS, STATISTICS, TOPICS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -48,7 +48,7 @@ def test_process_table_names_real_modules_and_budgets(process) -> None:  # type:
 
 def test_every_service_of_the_table_has_statistics_and_topics_name_their_publisher() -> None:
     names = {process.name for process in PROCESSES}
-    assert set(STATISTICS) == names - {"bifrostd"}
-    assert {topic.publisher for topic in TOPICS} | {topic.server for topic in SERVICE_TOPICS} <= names
+    assert set(STATISTICS) == names - {DAEMON}
+    assert {topic.owner for topic in TOPICS} | {topic.owner for topic in SERVICE_TOPICS} <= names
     every = [topic.name for topic in TOPICS] + [topic.name for topic in SERVICE_TOPICS]
     assert len(every) == len(set(every))

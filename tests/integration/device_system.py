@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 
 import bifrost
 from tests.conftest import RunningInstance, fresh_instance, wait_until
-from valor.common.messages import BehaviorReply, BehaviorRequest, DeviceStatus, MotionState
+from valor.common.messages import BehaviorRequest, DeviceStatus, MotionState
 from valor.common.topics import BEHAVIOR, DEVICES, MOTION_STATE, STATISTICS
 
 M = TypeVar("M", bound=bifrost.Message)
@@ -43,9 +43,9 @@ class RobotOnDevices:
     def __init__(self, running: RunningInstance) -> None:
         self.running = running
         self.node = running.node()
-        self._status = Newest(self.node.subscriber(DEVICES.name, DeviceStatus))
-        self._state = Newest(self.node.subscriber(MOTION_STATE.name, MotionState))
-        self._behavior = self.node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self._status = Newest(DEVICES.subscriber(self.node))
+        self._state = Newest(MOTION_STATE.subscriber(self.node))
+        self._behavior = BEHAVIOR.client(self.node)
 
     @property
     def status(self) -> DeviceStatus:

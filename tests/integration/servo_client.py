@@ -25,8 +25,8 @@ class ServoClient:
     """
 
     def __init__(self, node: bifrost.Node, robot: RobotDescription, keep: bool = False) -> None:
-        self._motor = node.publisher(MOTOR.name, Motor)
-        self.proprioceptor = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._motor = MOTOR.publisher(node)
+        self.proprioceptor = PROPRIOCEPTOR.subscriber(node)
         self._robot = robot
         self._keep = keep
         self._began = time.monotonic_ns()

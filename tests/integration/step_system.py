@@ -28,7 +28,7 @@ from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from tests.system import RosClient
-from valor.common.messages import GroundTruth, MotionState, PushReply, PushRequest, StepStatus
+from valor.common.messages import MotionState, PushRequest, StepStatus
 from valor.common.poses import Pose
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
 from valor.common.transforms import TransformBuffer, TransformError
@@ -101,10 +101,10 @@ class Walker:
         ros.node.create_subscription(ExecuteStepPlan.Feedback, FEEDBACK, self._words.append, latched)
         ros.node.create_subscription(TFMessage, "/tf_static", lambda m: self._hear(m, static=True), latched)
         node = instance.node("observer")
-        self._truth = node.subscriber(GROUND_TRUTH.name, GroundTruth)
-        self._states = node.subscriber(MOTION_STATE.name, MotionState)
-        self._statuses = node.subscriber(STEP_STATUS.name, StepStatus, queue=1000)
-        self._push = node.client(PUSH.name, PushRequest, PushReply)
+        self._truth = GROUND_TRUTH.subscriber(node)
+        self._states = MOTION_STATE.subscriber(node)
+        self._statuses = STEP_STATUS.subscriber(node, queue=1000)
+        self._push = PUSH.client(node)
         self.statuses: list[StepStatus] = []
         self._model = full_model(ROBOT)
         assert self._action.wait_for_server(LIMIT)

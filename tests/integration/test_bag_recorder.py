@@ -47,7 +47,7 @@ from valor.bags.recovery import recover
 from valor.common.bounds import Bounds
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Recording
-from valor.common.messages import JointSetpoints, MotionState, Motor, SnapReply, SnapRequest, Statistics
+from valor.common.messages import JointSetpoints, Motor, SnapRequest, Statistics
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, SNAP, STATISTICS
 from valor.valorctl import bag_player, recording_list, recording_report
@@ -169,7 +169,7 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
 
     path = recorder(instance)
     node = instance.node()
-    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    motors, setpoints = MOTOR.publisher(node), JOINT_SETPOINTS.publisher(node)
     names = [f"joint_{i}" for i in range(JOINTS)]
     extra = connect(path, motors, motor(0))
     extra_setpoints = connect(path, setpoints, JointSetpoints(0, names, *np.zeros((3, JOINTS))))
@@ -249,7 +249,7 @@ def test_ros_stays_on_the_loopback_interface_and_out_of_shared_memory(instance: 
 def test_two_thousand_messages_a_second_are_all_kept(instance: RunningInstance) -> None:
     path = recorder(instance)
     node = instance.node()
-    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    motors, setpoints = MOTOR.publisher(node), JOINT_SETPOINTS.publisher(node)
     names = [f"joint_{i}" for i in range(JOINTS)]
     message, setpoint = motor(1), JointSetpoints(1, names, *np.zeros((3, JOINTS)))
     extra, extra_setpoints = connect(path, motors, message), connect(path, setpoints, setpoint)
@@ -262,7 +262,7 @@ def test_two_thousand_messages_a_second_are_all_kept(instance: RunningInstance) 
     wait_until(
         lambda: has(path, "/bifrost/" + JOINT_SETPOINTS.name, number + extra_setpoints), 20.0, "all are in the bag", 0.3
     )
-    statistics = node.subscriber(STATISTICS["bag_recorder"].name, Statistics)
+    statistics = STATISTICS["bag_recorder"].subscriber(node)
     received = statistics.receive(timeout=10.0)
     assert received is not None and received.message.drops == 0
     assert instance.stop("bag_recorder") == 0
@@ -272,7 +272,7 @@ def test_two_thousand_messages_a_second_are_all_kept(instance: RunningInstance) 
 def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: RunningInstance) -> None:
     first = recorder(instance)
     node = instance.node()
-    stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
+    stream = Stream(MOTOR.publisher(node), 200.0)
     stream.start()
     wait_until(lambda: has(first, "/bifrost/" + MOTOR.name, 400), 30.0, "two seconds are in the bag", 0.3)
     said = stream.sent[-1]
@@ -302,7 +302,7 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
 def test_a_full_disk_costs_no_more_than_what_does_not_fit(instance: RunningInstance) -> None:
     """Full when the recorder starts, then with room, then full again, and with room again."""
     node = instance.node()
-    statistics = node.subscriber(STATISTICS["bag_recorder"].name, Statistics, queue=100)
+    statistics = STATISTICS["bag_recorder"].subscriber(node, queue=100)
 
     def heard(state: str) -> Statistics | None:
         said = [each.message for each in statistics.drain() if each.message.state == state]
@@ -317,7 +317,7 @@ def test_a_full_disk_costs_no_more_than_what_does_not_fit(instance: RunningInsta
     process.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
     wait_until(lambda: heard("ready"), 30.0, "the recorder records")
     (path,) = bags(instance)
-    stream = Stream(node.publisher(MOTOR.name, Motor), 200.0)
+    stream = Stream(MOTOR.publisher(node), 200.0)
     stream.start()
     wait_until(lambda: has(path, "/bifrost/" + MOTOR.name, 100), 30.0, "the bag has begun", 0.3)
 
@@ -362,7 +362,7 @@ def test_a_topic_keeps_every_nth_message_or_none(instance: RunningInstance, tmp_
     tap = BifrostTap(instance.node("recorder"), WallClock(), (third, none))
     bag = Bag(tmp_path / "a.mcap")
     node = instance.node()
-    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    motors, setpoints = MOTOR.publisher(node), JOINT_SETPOINTS.publisher(node)
 
     def all_heard() -> bool:
         tap.drain(bag)
@@ -432,7 +432,7 @@ def test_what_became_of_each_topic_is_in_the_bag_and_in_the_log(instance: Runnin
     chatter = ros.create_publisher(String, "/chatter", RELIABLE)
     path = recorder(instance)
     node = instance.node()
-    motors = node.publisher(MOTOR.name, Motor)
+    motors = MOTOR.publisher(node)
     extra = connect(path, motors, motor(0))
     wait_until(chatter.get_subscription_count, 20.0, "the recorder subscribes")
     for number in range(100):
@@ -460,7 +460,7 @@ def test_only_topics_that_are_asked_for_are_recorded(instance: RunningInstance, 
     wanted, other = (ros.create_publisher(String, name, KEPT) for name in ("/chatter", "/noise"))
     path = recorder(instance)
     node = instance.node()
-    motors, setpoints = node.publisher(MOTOR.name, Motor), node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    motors, setpoints = MOTOR.publisher(node), JOINT_SETPOINTS.publisher(node)
     connect(path, motors, motor(0))
     setpoints.publish(JointSetpoints(0, [], *np.zeros((3, 0))))
     other.publish(String(data="not this"))
@@ -479,7 +479,7 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
     path = recorder(instance)
     wait_until(lambda: has(path, "/robot_description", 1), 20.0, "what is latched is in the first bag", 0.2)
     node = instance.node()
-    stream = Stream(node.publisher(MOTOR.name, Motor), 800.0)
+    stream = Stream(MOTOR.publisher(node), 800.0)
     stream.start()
     wait_until(lambda: len(bags(instance)) >= 3, 60.0, "two bags are full", 0.1)
     stream.stop()
@@ -510,7 +510,7 @@ def test_a_recorder_keeps_all_recordings_within_bounds_its_own_pieces_too(instan
     instance.configure(recording=Recording(bounds=bounds, only=("/bifrost/" + MOTOR.name,)))
     path = recorder(instance)
     node = instance.node()
-    stream = Stream(node.publisher(MOTOR.name, Motor), 1000.0)
+    stream = Stream(MOTOR.publisher(node), 1000.0)
     stream.start()
     wait_until(lambda: not path.exists(), 60.0, "its own first piece has gone", 0.1)
     glance = recording_report.glance(instance.instance, bounds)
@@ -546,7 +546,7 @@ def a_recording(folder: Path, name: str, size: int) -> Path:
 
 def test_what_was_lost_while_the_recorder_stood_is_counted(instance: RunningInstance) -> None:
     path = recorder(instance)
-    publisher = instance.node().publisher(MOTOR.name, Motor)
+    publisher = MOTOR.publisher(instance.node())
     connect(path, publisher, motor(0))
     process = psutil.Process(instance.process("bag_recorder").pid)
     process.suspend()
@@ -582,10 +582,10 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     assert bags(instance) == []
     wait_until(lambda: description.get_subscription_count() == 1, 20.0, "the recorder hears what is latched")
     node = instance.node()
-    client = node.client(SNAP.name, SnapRequest, SnapReply)
-    stream = Stream(node.publisher(MOTOR.name, Motor), 100.0)
+    client = SNAP.client(node)
+    stream = Stream(MOTOR.publisher(node), 100.0)
     stream.start()
-    states = node.publisher(MOTION_STATE.name, MotionState)
+    states = MOTION_STATE.publisher(node)
     wait_until(lambda: len(stream.sent) > 300, 30.0, "more than fits in two seconds")
 
     reply = client.call(SnapRequest(), timeout=20.0)
@@ -631,7 +631,7 @@ def metadata_of_finished(path: Path) -> bool:
 
 def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance) -> None:
     recorder(instance)
-    client = instance.node().client(SNAP.name, SnapRequest, SnapReply)
+    client = SNAP.client(instance.node())
     reply = client.call(SnapRequest(), timeout=20.0)
     assert not reply.accepted and "everything is being recorded" in reply.reason
 

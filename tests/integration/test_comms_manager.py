@@ -18,17 +18,15 @@ import bifrost
 from tests.conftest import PATIENCE, REPOSITORY, RunningInstance, wait_until
 from tests.integration.servo_client import ServoClient
 from valor.common.messages import (
-    ClockStatus,
     GroundTruth,
     JointMode,
     Motor,
     Proprioceptor,
     PushReply,
     PushRequest,
-    Statistics,
 )
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.topics import CLOCK, COMMS_MANAGER_STATISTICS, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, Topic
+from valor.common.topics import CLOCK, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, STATISTICS, Topic
 from valor.comms_manager.simulation.clock import BACKLOG
 from valor.robot.description import RobotDescription
 
@@ -47,7 +45,7 @@ class Pusher:
     """A client of ``simulation/push``."""
 
     def __init__(self, node: bifrost.Node) -> None:
-        self._client = node.client(PUSH.name, PushRequest, PushReply)
+        self._client = PUSH.client(node)
 
     def __call__(self, *impulse: float, duration: float = 0.0) -> PushReply:
         request = PushRequest(impulse_in_world=np.array(impulse, float), duration=duration)
@@ -57,8 +55,8 @@ class Pusher:
 class Newest(Generic[M]):
     """The newest message of a topic; waits for the first one only, so that whoever drives the world is not stalled."""
 
-    def __init__(self, node: bifrost.Node, topic: Topic, message_type: type[M]) -> None:
-        self._subscriber = node.subscriber(topic.name, message_type)
+    def __init__(self, node: bifrost.Node, topic: Topic[M]) -> None:
+        self._subscriber = topic.subscriber(node)
         self._newest: bifrost.Received[M] | None = None
 
     def received(self) -> bifrost.Received[M]:
@@ -80,9 +78,9 @@ class Watch:
     """What the Comms Manager says beside Proprioceptor."""
 
     def __init__(self, node: bifrost.Node) -> None:
-        self.clock = Newest(node, CLOCK, ClockStatus)
-        self.statistics = Newest(node, COMMS_MANAGER_STATISTICS, Statistics)
-        self.truth = Newest(node, GROUND_TRUTH, GroundTruth)
+        self.clock = Newest(node, CLOCK)
+        self.statistics = Newest(node, STATISTICS["comms_manager"])
+        self.truth = Newest(node, GROUND_TRUTH)
 
     def truth_at(self, robot_time: float, timeout: float = 300.0) -> GroundTruth:
         """The first truth heard at or after a robot time [s], while others drive the world."""
@@ -113,7 +111,7 @@ def upright(truth: GroundTruth) -> bool:
 def test_stands_passively_for_twenty_seconds(instance: RunningInstance, actuators: str) -> None:
     start(instance, actuators=actuators)
     node = instance.node()
-    watch, proprioceptor = Watch(node), Newest(node, PROPRIOCEPTOR, Proprioceptor)
+    watch, proprioceptor = Watch(node), Newest(node, PROPRIOCEPTOR)
     with client_process(instance):
         settled = watch.truth_at(5.0)
         truth, state, clock = watch.truth_at(20.0, timeout=400.0), proprioceptor(), watch.clock()

@@ -63,9 +63,9 @@ class Case:
 
     def watch(self, seconds: float) -> tuple[list[MotionState], list[Proprioceptor], list[GroundTruth]]:
         """All that is published in a stretch of robot time [s]."""
-        states = self.node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
-        senses = self.node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=5000)
-        truths = self.node.subscriber(GROUND_TRUTH.name, GroundTruth, queue=5000)
+        states = MOTION_STATE.subscriber(self.node, queue=5000)
+        senses = PROPRIOCEPTOR.subscriber(self.node, queue=5000)
+        truths = GROUND_TRUTH.subscriber(self.node, queue=5000)
         kept: tuple[list[MotionState], list[Proprioceptor], list[GroundTruth]] = ([], [], [])
         deadline = time.monotonic() + 60.0 + 20.0 * seconds
         while time.monotonic() < deadline:
@@ -198,7 +198,7 @@ def test_a_small_push_does_not_topple_it(case: Case) -> None:
 
 
 def test_a_large_push_does_and_ros_hears_of_it(case: Case) -> None:
-    subscriber = case.node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
+    subscriber = MOTION_STATE.subscriber(case.node, queue=5000)
     case.ros.reports.clear()
     case.system.valorctl("push", "80", "0", "0")
 

@@ -12,7 +12,6 @@ from valor.common.messages import (
     Footstep,
     FootstepPlanReply,
     FootstepPlanRequest,
-    GroundTruth,
     MotionState,
     StepStatus,
     VelocityCommand,
@@ -29,10 +28,10 @@ class WalkingSystem(MotionSystem):
     def __init__(self, instance: RunningInstance) -> None:
         super().__init__(instance)
         node = instance.node("walker")
-        self._place = node.subscriber(GROUND_TRUTH.name, GroundTruth)
-        self._velocity = node.publisher(VELOCITY.name, VelocityCommand)
-        self._steps = node.subscriber(STEP_STATUS.name, StepStatus, queue=1000)
-        self._plans = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
+        self._place = GROUND_TRUTH.subscriber(node)
+        self._velocity = VELOCITY.publisher(node)
+        self._steps = STEP_STATUS.subscriber(node, queue=1000)
+        self._plans = FOOTSTEP_PLAN.client(node)
         self.statuses: list[StepStatus] = []
 
     def place(self) -> np.ndarray:

@@ -29,8 +29,8 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutio
 import bifrost
 from tests.conftest import RunningInstance, fresh_instance, wait_until
 from tests.system import in_executor
-from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, Statistics, StepStatus
-from valor.common.topics import FOOTSTEP_CONVERTER_STATISTICS, FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
+from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
+from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STATISTICS, STEP_STATUS
 
 S = FootstepExecutionStatus
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
@@ -49,7 +49,7 @@ class ScriptedMotionManager:
         self.behavior, self.reason = "stand", ""
         self.step_status: StepStatus | None = None
         self.silent = False
-        self._server = node.server(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply, self._answer)
+        self._server = FOOTSTEP_PLAN.server(node, self._answer)
         # Latched, for such a publisher alone knows who hears it.
         self._state = node.publisher(MOTION_STATE.name, MotionState, latched=True)
         self._status = node.publisher(STEP_STATUS.name, StepStatus, latched=True)
@@ -274,7 +274,7 @@ def test_feedback_comes_ten_times_a_second_and_with_every_step(
     instance: RunningInstance, motion: ScriptedMotionManager, ros_client: Client
 ) -> None:
     """Not more often by the wall, and often beside what else the converter says by the clock, once a second."""
-    statistics = instance.node("watch").subscriber(FOOTSTEP_CONVERTER_STATISTICS.name, Statistics, queue=1000)
+    statistics = STATISTICS["footstep_converter"].subscriber(instance.node("watch"), queue=1000)
     began = time.monotonic()
     goal = begin(motion, ros_client)
     statistics.drain()
@@ -335,7 +335,7 @@ def test_a_refusal_is_passed_on_word_for_word(motion: ScriptedMotionManager, ros
 def test_a_broken_plan_is_refused_and_nothing_forwarded(
     instance: RunningInstance, motion: ScriptedMotionManager, ros_client: Client
 ) -> None:
-    statistics = instance.node("watch").subscriber(FOOTSTEP_CONVERTER_STATISTICS.name, Statistics)
+    statistics = STATISTICS["footstep_converter"].subscriber(instance.node("watch"))
     for _ in range(2):  # the first may have been said before
         newest = statistics.receive(LIMIT)
     assert newest
@@ -602,7 +602,7 @@ def test_it_costs_next_to_nothing_at_idle(instance: RunningInstance, motion: Scr
                                           ros_client: Client) -> None:  # fmt: skip
     """A rate, not a time: cycles of the processor a second of its own clock, while motion states go by."""
     process = psutil.Process(instance.process("footstep_converter").pid)
-    statistics = instance.node("watch").subscriber(FOOTSTEP_CONVERTER_STATISTICS.name, Statistics, queue=10)
+    statistics = STATISTICS["footstep_converter"].subscriber(instance.node("watch"), queue=10)
     assert statistics.receive(LIMIT)
     before, began = process.cpu_times(), time.monotonic()
     for _ in range(3):

@@ -12,7 +12,7 @@ from tests.conftest import RunningInstance
 from tests.unit.motion_states import motion_state
 from valor.common.behaviors import requested_by
 from valor.common.errors import ValorError
-from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
+from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR, MOTION_STATE
 from valor.valorctl.getting_up import GETTING_UP, get_up
 
@@ -28,8 +28,8 @@ class ScriptedMotionManager:
 
     def __init__(self, instance: RunningInstance, says: Sequence[Said], refusal: str = "") -> None:
         node = instance.node("motion_manager")
-        self._states = node.publisher(MOTION_STATE.name, MotionState)
-        self._server = node.server(BEHAVIOR.name, BehaviorRequest, BehaviorReply, self._answer)
+        self._states = MOTION_STATE.publisher(node)
+        self._server = BEHAVIOR.server(node, self._answer)
         self._says: list[Said] = [("fall", "lost"), *says]
         self._refusal = refusal
         self._at = 0
@@ -66,7 +66,7 @@ def motion_manager(
 ) -> Iterator[ScriptedMotionManager]:
     scripted = ScriptedMotionManager(instance, says, refusal)
     try:
-        client = instance.node("observer").client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        client = BEHAVIOR.client(instance.node("observer"))
         assert client.wait_for_server(LIMIT)
         yield scripted
     finally:

@@ -12,7 +12,7 @@ import pytest
 
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
-from valor.common.messages import FaultReply, FaultRequest, GroundTruth, Proprioceptor
+from valor.common.messages import FaultRequest
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import FAULT, GROUND_TRUTH, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
@@ -25,8 +25,8 @@ class Bench(RobotOnDevices):
 
     def __init__(self, running: RunningInstance) -> None:
         super().__init__(running)
-        self._truth = self.node.subscriber(GROUND_TRUTH.name, GroundTruth)
-        self._fault = self.node.client(FAULT.name, FaultRequest, FaultReply)
+        self._truth = GROUND_TRUTH.subscriber(self.node)
+        self._fault = FAULT.client(self.node)
 
     def unit(self, name: str) -> tuple[str, str, float]:
         """State, detail and errors of a unit."""
@@ -99,7 +99,7 @@ def test_it_stands_on_its_devices(standing: Bench) -> None:
     assert {unit.split("/")[0] for unit in status.units} == {"force_torque", "imu", "neck", "hdt", "legs"}
     assert len([unit for unit in status.units if unit.startswith("legs/")]) == 7
     assert (status.reaction, status.reason) == ("keep_balance", "")
-    received = standing.running.node("looker").subscriber(PROPRIOCEPTOR.name, Proprioceptor).receive(PATIENCE)
+    received = PROPRIOCEPTOR.subscriber(standing.running.node("looker")).receive(PATIENCE)
     assert received is not None
     weight = received.message.left_foot_wrench[2] + received.message.right_foot_wrench[2]
     assert 300.0 < weight < 1500.0
@@ -182,7 +182,7 @@ def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing
 def test_the_motion_manager_may_die_under_a_standing_robot_and_no_joint_moves(standing: Bench) -> None:
     """Nor a finger's, whose servo is so soft that a noisy measurement of its effort would move it."""
     robot = RobotDescription.load(ROBOTS / "escher")
-    positions = standing.running.node("watcher").subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=20_000)
+    positions = PROPRIOCEPTOR.subscriber(standing.running.node("watcher"), queue=20_000)
     first = positions.receive(PATIENCE)
     assert first is not None
     standing.running.kill("motion_manager")

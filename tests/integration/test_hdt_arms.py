@@ -18,8 +18,8 @@ import pytest
 import bifrost
 from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
 from valor.common.arrays import FloatArray
-from valor.common.messages import FaultReply, FaultRequest, HdtCommand, HdtState, JointMode
-from valor.common.topics import FAULT
+from valor.common.messages import FaultRequest, HdtCommand, HdtState, JointMode
+from valor.common.topics import FAULT, HDT_COMMANDS, HDT_STATES
 from valor.comms_manager.hardware.device import Device, DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.hdt import Hdt
 from valor.comms_manager.hardware.rejoin import SPEED
@@ -79,7 +79,7 @@ class Bench:
         return bool(np.abs(self.position - self.wanted).max() < tolerance)
 
     def fail(self, unit: str, fault: str, duration: float = 0.0) -> None:
-        client = self.node.client(FAULT.name, FaultRequest, FaultReply)
+        client = FAULT.client(self.node)
         reply = client.call(FaultRequest(device="hdt", unit=unit, fault=fault, duration=duration), 10.0)
         client.close()
         assert reply.accepted, reply.reason
@@ -115,7 +115,7 @@ def led(running: RunningInstance) -> Iterator[Bench]:
         hdt = Hdt("hdt", context)
         devices += [SeriesElastic("legs", context), hdt]
         node = running.node("hdt_test")
-        first = {name: node.subscriber(f"comms_manager/hdt/{name}/command", HdtCommand, queue=1000) for name in LIMBS}
+        first = {name: HDT_COMMANDS[name].subscriber(node, queue=1000) for name in LIMBS}
         for device in devices:
             device.find()
         for device in devices:
@@ -163,7 +163,7 @@ class Way:
 
     def __init__(self, bench: Bench, limb: str) -> None:
         self._states: list[HdtState] = []
-        self._subscriber = bench.node.subscriber(f"comms_manager/hdt/{limb}/state", HdtState, queue=5000)
+        self._subscriber = HDT_STATES[limb].subscriber(bench.node, queue=5000)
 
     def close(self) -> None:
         self._subscriber.close()

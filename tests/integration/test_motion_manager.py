@@ -18,18 +18,13 @@ from valor.common.messages import (
     BehaviorReply,
     BehaviorRequest,
     Footstep,
-    FootstepPlanReply,
     FootstepPlanRequest,
-    GroundTruth,
     JointMode,
     JointSetpoints,
     MotionState,
-    Motor,
     Proprioceptor,
-    PushReply,
     PushRequest,
     Rejection,
-    Statistics,
     VelocityCommand,
 )
 from valor.common.topics import (
@@ -69,16 +64,16 @@ class MotionSystem:
     def __init__(self, instance: RunningInstance, *, env: dict[str, str] | None = None) -> None:
         self.instance = instance
         node = instance.node()
-        self._states = node.subscriber(MOTION_STATE.name, MotionState, queue=20_000)
-        self._truth = node.subscriber(GROUND_TRUTH.name, GroundTruth)
-        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=1000)
-        self._statistics = node.subscriber(STATISTICS["motion_manager"].name, Statistics)
-        self.motors = node.subscriber(MOTOR.name, Motor)
-        self._setpoints = node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
-        self._velocity = node.publisher(VELOCITY.name, VelocityCommand)
-        self._behavior = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        self._footsteps = node.client(FOOTSTEP_PLAN.name, FootstepPlanRequest, FootstepPlanReply)
-        self._push = node.client(PUSH.name, PushRequest, PushReply)
+        self._states = MOTION_STATE.subscriber(node, queue=20_000)
+        self._truth = GROUND_TRUTH.subscriber(node)
+        self._rejections = REJECTION.subscriber(node, queue=1000)
+        self._statistics = STATISTICS["motion_manager"].subscriber(node)
+        self.motors = MOTOR.subscriber(node)
+        self._setpoints = JOINT_SETPOINTS.publisher(node)
+        self._velocity = VELOCITY.publisher(node)
+        self._behavior = BEHAVIOR.client(node)
+        self._footsteps = FOOTSTEP_PLAN.client(node)
+        self._push = PUSH.client(node)
         self.history: list[MotionState] = []
         self.rejections: list[Rejection] = []
         self._height: float | None = None
@@ -238,7 +233,7 @@ def test_a_comms_manager_killed_in_stand_prep_moves_nothing_until_told_to(instan
 
 def killed_and_back(system: MotionSystem) -> list[Proprioceptor]:
     """Kill the Motion Manager and start it anew; what was measured from just before until it has the robot again."""
-    measured = system.instance.node("witness").subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=20_000)
+    measured = PROPRIOCEPTOR.subscriber(system.instance.node("witness"), queue=20_000)
     seen = [wait_until(measured.latest, 20.0, "a Proprioceptor").message]
     system.instance.kill("motion_manager")
     system.instance.start("motion_manager", wait=True)
@@ -294,8 +289,8 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
     instance.configure(real_time_factor=1.0, actuators="hardware")
     system = MotionSystem(instance)
     witness = instance.node("witness")
-    measured = witness.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
-    statistics = witness.subscriber(STATISTICS["comms_manager"].name, Statistics)
+    measured = PROPRIOCEPTOR.subscriber(witness)
+    statistics = STATISTICS["comms_manager"].subscriber(witness)
 
     def rejected() -> int:
         statistics.latest()
@@ -522,9 +517,9 @@ def test_a_process_that_stands_still_for_a_moment_is_no_fall(system: MotionSyste
 
 
 def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(system: MotionSystem) -> None:
-    recorded = system.instance.node("other").subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+    recorded = PROPRIOCEPTOR.subscriber(system.instance.node("other"))
     said = wait_until(recorded.latest, 20.0, "a Proprioceptor").message
-    replayed = system.instance.node("player").publisher(PROPRIOCEPTOR.name, Proprioceptor)
+    replayed = PROPRIOCEPTOR.publisher(system.instance.node("player"))
 
     def play() -> bool:
         said.sequence, said.time, said.imu_orientation = 1, 1, np.array([0.0, 1.0, 0.0, 0.0])
@@ -540,7 +535,7 @@ def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(system: Moti
 def test_who_floods_is_named_and_muted_while_the_motors_go_on(system: MotionSystem) -> None:
     """As many set-points as a loop can send; another sender leads the arm meanwhile."""
     system.go(Behavior.STAND_MANIPULATE)
-    flooder = system.instance.node("flooder").publisher(JOINT_SETPOINTS.name, JointSetpoints)
+    flooder = JOINT_SETPOINTS.publisher(system.instance.node("flooder"))
     nothing = np.zeros(1)
     stale = JointSetpoints(time=1, names=["neck_yaw"], position=nothing, velocity=nothing, acceleration=nothing)
     stop = threading.Event()

@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
-from valor.common.messages import FaultReply, FaultRequest, JointSetpoints, Proprioceptor
+from valor.common.messages import FaultRequest, JointSetpoints, Proprioceptor
 from valor.common.topics import FAULT, JOINT_SETPOINTS, PROPRIOCEPTOR
 from valor.devices.table import Dynamixel
 from valor.robot.description import RobotDescription
@@ -25,8 +25,8 @@ class Thor(RobotOnDevices):
 
     def __init__(self, running: RunningInstance) -> None:
         super().__init__(running)
-        self._measured = self.node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
-        self._setpoints = self.node.publisher(JOINT_SETPOINTS.name, JointSetpoints)
+        self._measured = PROPRIOCEPTOR.subscriber(self.node)
+        self._setpoints = JOINT_SETPOINTS.publisher(self.node)
 
     def measured(self) -> Proprioceptor:
         """What the devices say next."""
@@ -89,7 +89,7 @@ def test_the_lidar_turns_at_its_speed(thor: Thor) -> None:
 def test_legs_that_lost_their_power_for_a_moment_have_the_robot_go_limp(thor: Thor) -> None:
     """The last one: it lies afterwards. Nobody was silent; the first that is off has it held, the second lets it go."""
     thor.go("stand")
-    fault = thor.node.client(FAULT.name, FaultRequest, FaultReply)
+    fault = FAULT.client(thor.node)
     legs = [unit for unit in thor.status.units if unit.startswith("legs/")]
     for unit in legs[:4]:
         reply = fault.call(FaultRequest("legs", unit.removeprefix("legs/"), "unplugged", 0.05), timeout=PATIENCE)

@@ -30,7 +30,6 @@ from tests.unit.test_ros_domain import homes_that_begin_alike
 from tests.unit.test_valorctl_help import HEAVY, imported
 from valor.common import membership
 from valor.common.instance import Instance
-from valor.common.messages import MotionState, Motor, Proprioceptor, Statistics
 from valor.common.priority import take_turns
 from valor.common.topics import MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
 from valor.valorctl.profile import Profile
@@ -410,7 +409,7 @@ def one_walks_at_a_time(ctl: Cli) -> None:
     instance = Instance("default", ctl.home)
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("observer", network=network) as node:
-        states = node.subscriber(MOTION_STATE.name, MotionState)
+        states = MOTION_STATE.subscriber(node)
 
         def speed() -> float | None:
             state = states.latest()
@@ -436,13 +435,13 @@ def one_writer(ctl: Cli) -> None:
             bifrost.Node("evil", network=network) as honest,
             pytest.raises(bifrost.Error, match=r"^evil wants to publish motion_manager/motor, which is motion_manag"),
         ):
-            honest.publisher(MOTOR.name, Motor)
+            MOTOR.publisher(honest)
         blind = replace(network, grants=bifrost.Grants({"bifrostd": network.grants.owners["bifrostd"]}))
         with bifrost.Node("evil", network=blind) as evil, bifrost.Node("watching", network=network) as watching:
-            forged_motors = evil.publisher(MOTOR.name, Motor)
-            forged_states = evil.publisher(PROPRIOCEPTOR.name, Proprioceptor)
-            motors = watching.subscriber(MOTOR.name, Motor)
-            states = watching.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+            forged_motors = MOTOR.publisher(evil)
+            forged_states = PROPRIOCEPTOR.publisher(evil)
+            motors = MOTOR.subscriber(watching)
+            states = PROPRIOCEPTOR.subscriber(watching)
             until = time.monotonic() + 1.0
             while time.monotonic() < until:
                 motor, state = motors.receive(5.0), states.receive(5.0)
@@ -474,7 +473,7 @@ def one_writer(ctl: Cli) -> None:
 def refusals(instance: Instance) -> int:
     """How many Motors and Proprioceptors their readers have refused."""
     with bifrost.Node("test", network=membership.network(instance)) as node:
-        words = [node.subscriber(STATISTICS[name].name, Statistics) for name in ("comms_manager", "motion_manager")]
+        words = [STATISTICS[name].subscriber(node) for name in ("comms_manager", "motion_manager")]
         received = [word.receive(5.0) for word in words]
         assert all(received)
         return sum(word.message.rejected for word in received if word)

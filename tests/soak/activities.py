@@ -15,7 +15,7 @@ from tests.soak.rig import BrokenError, Rig
 from valor.common import membership
 from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
-from valor.common.messages import MotionState, PushReply, PushRequest, VelocityCommand
+from valor.common.messages import MotionState, PushRequest, VelocityCommand
 from valor.common.topics import PUSH, VALORCTL, VELOCITY
 from valor.valorctl import arm_motion, stepping
 
@@ -100,7 +100,7 @@ def _walking(rig: Rig, rng: random.Random) -> Going:
     def walk(check: Callable[[], None]) -> None:
         network = membership.network(rig.instance, VALORCTL)
         with bifrost.Node("valorctl", network=network) as node:
-            velocity = node.publisher(VELOCITY.name, VelocityCommand)
+            velocity = VELOCITY.publisher(node)
             while True:
                 check()
                 state = rig.tap.state
@@ -148,7 +148,7 @@ def _fallen(rig: Rig, _: random.Random) -> Going:
     """Pushed over where it can be pushed, else let go."""
     network = membership.network(rig.instance, VALORCTL)
     with bifrost.Node("valorctl", network=network) as node:
-        pusher = node.client(PUSH.name, PushRequest, PushReply)
+        pusher = PUSH.client(node)
         if pusher.wait_for_server(2.0):
             pusher.call(PushRequest(np.array([120.0, 0.0, 0.0]), 0.1), timeout=5.0)
         else:

@@ -28,7 +28,6 @@ from valor.common.messages import (
     JointGains,
     JointSetpoints,
     PelvisSetpoint,
-    PushReply,
     PushRequest,
     VelocityCommand,
 )
@@ -147,7 +146,7 @@ def _push(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     impulse = PUSH_IMPULSE * np.array([np.cos(angle), np.sin(angle), 0.0])
     network = membership.network(rig.instance, "valor_ros_controller")
     with bifrost.Node("valorctl", network=network) as node:
-        pusher = node.client(PUSH.name, PushRequest, PushReply)
+        pusher = PUSH.client(node)
         if not pusher.wait_for_server(2.0):
             return []  # nobody pushes a robot on its devices
         reply = pusher.call(PushRequest(impulse, 0.1), timeout=5.0)
@@ -218,9 +217,9 @@ def _adjustments(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     joints = list(rig.robot.joints)
     network = membership.network(rig.instance, "valor_ros_controller")
     with bifrost.Node("soak_adjuster", network=network) as node:
-        pelvis = node.publisher(PELVIS.name, PelvisSetpoint)
-        gains = node.publisher(JOINT_GAINS.name, JointGains)
-        weights = node.publisher(BALANCE_WEIGHTS.name, BalanceWeights)
+        pelvis = PELVIS.publisher(node)
+        gains = JOINT_GAINS.publisher(node)
+        weights = BALANCE_WEIGHTS.publisher(node)
         place = np.array([rng.uniform(-0.1, 0.1), rng.uniform(-0.1, 0.1), rng.uniform(0.6, 0.9), 0.0, 0.0, 0.0])
         for _ in range(50):
             state = rig.tap.state

@@ -17,7 +17,7 @@ from tests.soak.event import Event
 from tests.soak.rig import BrokenError, Rig
 from valor.common import membership
 from valor.common.errors import ValorError
-from valor.common.messages import FaultReply, FaultRequest
+from valor.common.messages import FaultRequest
 from valor.common.topics import FAULT, VALORCTL
 
 CAPPED = 5.0  # without another page of memory [s]
@@ -95,7 +95,7 @@ def _unplug(rig: Rig, rng: random.Random, unit: str) -> list[str]:
     """A device, and plug it in again."""
     device, _, name = unit.partition("/")
     with bifrost.Node("soak_bench", network=membership.network(rig.instance, VALORCTL)) as node:
-        fault = node.client(FAULT.name, FaultRequest, FaultReply)
+        fault = FAULT.client(node)
         fault.wait_for_server(5.0)
         reply = fault.call(FaultRequest(device, name or device, "unplugged", UNPLUGGED), timeout=5.0)
     if not reply.accepted:

@@ -114,7 +114,7 @@ class Rig:
         self.robot = RobotDescription.load(self.instance.settings().robot)
         network = bifrost.Network.load(self.instance.network_file, self.instance.keys)
         self._node = bifrost.Node("soak", network=network)
-        self.client = self._node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
+        self.client = BEHAVIOR.client(self._node)
         self.tap = Tap(self.instance, self.robot)
         self.tap.__enter__()
         self.supervisor = Supervisor(self.instance)

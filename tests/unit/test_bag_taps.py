@@ -50,7 +50,7 @@ def test_a_recorder_that_takes_much_gives_signs_of_life(instance: RunningInstanc
         signs += 1
 
     tap = BifrostTap(instance.node("recorder"), WallClock(), [VELOCITY], alive=alive)
-    publisher = instance.node("speaker").publisher(VELOCITY.name, VelocityCommand)
+    publisher = VELOCITY.publisher(instance.node("speaker"))
     bag = Bag(home / "much.mcap")
 
     def taken_at_once() -> int:
@@ -70,7 +70,7 @@ def test_stamps_of_bifrost_are_brought_to_the_wall_clock_of_the_start(instance: 
     wall.offset += HOUR  # another computer's would differ by as much
     tap = BifrostTap(instance.node("recorder"), wall, [VELOCITY])
     wall.drift = 7 * HOUR  # set meanwhile: intervals between messages stay exact
-    publisher = instance.node("speaker").publisher(VELOCITY.name, VelocityCommand)
+    publisher = VELOCITY.publisher(instance.node("speaker"))
     bag = Bag(home / "stamps.mcap")
     first = time.time_ns()
 

@@ -53,8 +53,8 @@ class Devices:
 
     def __init__(self, net: BifrostNetwork, reflex: BalanceReflex, file: Path) -> None:
         self._speaker, self._listener = net.node("motion_manager"), net.node("comms_manager")
-        self._publisher = self._speaker.publisher(MOTOR.name, Motor)
-        subscriber = self._listener.subscriber(MOTOR.name, Motor, queue=AT_ONCE)
+        self._publisher = MOTOR.publisher(self._speaker)
+        subscriber = MOTOR.subscriber(self._listener, queue=AT_ONCE)
         self.latch = BehaviorLatch(file, 1)
         self.commands = Commands(subscriber, ROBOT, Leader(reflex, self.latch))
         self._robot = STANDING

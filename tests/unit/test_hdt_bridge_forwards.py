@@ -23,7 +23,7 @@ from tests.conftest import RunningInstance, wait_until
 from tests.unit.test_hdt_bridge import diagnostics, same
 from valor.common.errors import ConfigurationError
 from valor.common.messages import HdtCommand, HdtState, Statistics
-from valor.common.topics import STATISTICS
+from valor.common.topics import HDT_COMMANDS, HDT_STATES, STATISTICS
 from valor.hdt_bridge.service import HdtBridge
 from valor.service import Context
 
@@ -41,7 +41,7 @@ class Bridge:
     own: bifrost.Subscriber[Statistics]
 
     def listen(self, limb: str) -> bifrost.Subscriber[HdtState]:
-        return self.node.subscriber(f"comms_manager/hdt/{limb}/state", HdtState, queue=100)
+        return HDT_STATES[limb].subscriber(self.node, queue=100)
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def bridge(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterat
     for name, value in instance.instance.environment().items():
         monkeypatch.setenv(name, value)
     node = instance.node("comms_manager")
-    own = node.subscriber(STATISTICS["hdt_bridge"].name, Statistics, queue=100)
+    own = STATISTICS["hdt_bridge"].subscriber(node, queue=100)
     context = RosContext()
     rclpy.init(context=context, domain_id=instance.settings.ros_domain_id)
     ros = rclpy.create_node("hdt_driver", context=context)
@@ -108,7 +108,7 @@ def test_commands_reach_the_driver_with_their_origin(bridge: Bridge) -> None:
     bridge.ros.create_subscription(RosCommand, "/hdt/right_arm/command", heard.append, NEWEST)
     executor = rclpy.executors.SingleThreadedExecutor(context=bridge.ros.context)
     executor.add_node(bridge.ros)
-    speaking = bridge.node.publisher("comms_manager/hdt/right_arm/command", HdtCommand)
+    speaking = HDT_COMMANDS["right_arm"].publisher(bridge.node)
     numbers = [np.arange(7.0) + i for i in range(5)]
 
     def arrived() -> bool:
@@ -125,7 +125,7 @@ def test_commands_reach_the_driver_with_their_origin(bridge: Bridge) -> None:
 def test_the_bridge_says_that_it_is_ready_and_hands_on_what_the_driver_says(bridge: Bridge) -> None:
     own = wait_until(bridge.own.latest, PATIENCE, "the bridge's own statistics").message
     assert (own.service, own.state) == ("hdt_bridge", "ready")
-    drivers = bridge.node.subscriber(STATISTICS["hdt_driver"].name, Statistics, queue=100)
+    drivers = STATISTICS["hdt_driver"].subscriber(bridge.node, queue=100)
     speaking = bridge.ros.create_publisher(DiagnosticArray, "/diagnostics", 10)
     wait_until(speaking.get_subscription_count, PATIENCE, "the bridge hears /diagnostics")
     for message, expected in (("ready", ("ready", "")), ("left_arm: silent", ("starting", "left_arm: silent"))):

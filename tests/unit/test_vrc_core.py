@@ -223,7 +223,7 @@ def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(in
         return BehaviorReply(accepted=request.behavior == "stand", behavior="stand_prep", reason="because")
 
     manager = instance.node("motion_manager")
-    server = manager.server(BEHAVIOR.name, BehaviorRequest, BehaviorReply, serve)
+    server = BEHAVIOR.server(manager, serve)
     commander = BehaviorCommander(instance.node("valor_ros_controller"))
     heard = threading.Event()
     commander.answered = heard.set
@@ -259,7 +259,7 @@ def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(insta
             asked.append((name, request.behavior))
             return BehaviorReply(accepted=False, behavior="fall", reason="it lies")
 
-        return instance.node(name).server(topic.name, BehaviorRequest, BehaviorReply, serve)
+        return topic.server(instance.node(name), serve)
 
     servers = [server_of("comms_manager", STOP)]
     commander = BehaviorCommander(instance.node("valor_ros_controller"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOT
 from valor.robot.description import RobotDescription
 
 
-def recorded(topic: Topic) -> str:
+def recorded(topic: Topic[Any]) -> str:
     """The ROS name under which the recorder keeps a Bifrost topic."""
     return f"/bifrost/{topic.name}"
 
@@ -44,19 +45,19 @@ class Recording:
         origin = self.bag.origin
         return origin.get("world", "flat"), int(origin.get("seed", "0"))
 
-    def series(self, topic: Topic) -> Series:
+    def series(self, topic: Topic[Any]) -> Series:
         """All messages of a Bifrost topic."""
         return self.bag[recorded(topic)]
 
-    def has(self, topic: Topic) -> bool:
+    def has(self, topic: Topic[Any]) -> bool:
         """Whether the bag has messages of a Bifrost topic."""
         return recorded(topic) in self.bag
 
-    def load(self, *topics: Topic) -> None:
+    def load(self, *topics: Topic[Any]) -> None:
         """Read several topics in one pass."""
         self.bag.load(*(recorded(topic) for topic in topics))
 
-    def joints(self, topic: Topic, field: str) -> FloatArray:
+    def joints(self, topic: Topic[Any], field: str) -> FloatArray:
         """(m, n) a vector over the joints.
 
         Raises:

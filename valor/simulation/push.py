@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import bifrost
-from valor.common.floods import REQUESTS
 from valor.common.messages import PushReply, PushRequest
 from valor.common.topics import PUSH
 from valor.simulation.plant import Plant
@@ -26,7 +25,7 @@ class PushServer:
     def __init__(self, node: bifrost.Node, plant: Plant) -> None:
         self._plant = plant
         self._time = 0
-        self._server = node.server(PUSH.name, PushRequest, PushReply, self._push, REQUESTS)
+        self._server = PUSH.server(node, self._push)
         self.refused = 0
 
     def serve(self, time: int) -> None:

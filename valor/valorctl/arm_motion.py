@@ -97,7 +97,7 @@ def move_limb(
     wanted = preset(robot, side, limb, name)
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
-        measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        measured = PROPRIOCEPTOR.subscriber(node)
         start = _positions(robot, measured)
         # The controller wants all joints of the limb; those that the preset leaves out stay.
         goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.groups[f"{side}_{limb}"]}

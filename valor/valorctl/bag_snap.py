@@ -20,7 +20,7 @@ def snap(instance: Instance) -> SnapReply:
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
         try:
-            reply = node.client(SNAP.name, SnapRequest, SnapReply).call(SnapRequest(), timeout=TIMEOUT)
+            reply = SNAP.client(node).call(SnapRequest(), timeout=TIMEOUT)
         except bifrost.NoServerError:
             raise ValorError(f"nobody serves {SNAP.name}: the recorder does not run") from None
     if not reply.accepted:

@@ -63,7 +63,7 @@ def report(instance: Instance) -> ControlModeReport:
     """
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
-        received = node.subscriber(CONTROL_MODE.name, ControlModeReport).receive(timeout=_REPORT_TIMEOUT)
+        received = CONTROL_MODE.subscriber(node).receive(timeout=_REPORT_TIMEOUT)
     if received is None:
         raise ValorError(f"valor_ros_controller is silent: no {CONTROL_MODE.name} within {_REPORT_TIMEOUT:g} s")
     return received.message
@@ -104,8 +104,8 @@ def _lead(instance: Instance, mode: str, check: Callable[[], None]) -> ModeChang
     began = time.monotonic()
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
-        client = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply)
-        reports = node.subscriber(CONTROL_MODE.name, ControlModeReport)
+        client = BEHAVIOR.client(node)
+        reports = CONTROL_MODE.subscriber(node)
         report = None
         reason = next((why for each in behaviors if (why := _reach(client, each, began, check))), "")
         while report is None or (not reason and report.current_control_mode != mode):

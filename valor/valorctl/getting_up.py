@@ -9,7 +9,7 @@ import bifrost
 from valor.common.behaviors import Behavior, requester
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
+from valor.common.messages import BehaviorRequest
 from valor.common.topics import BEHAVIOR, MOTION_STATE
 
 GETTING_UP = "getting up"  # shown until the robot says which pose it makes
@@ -33,11 +33,9 @@ def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str],
     """
     network = bifrost.Network.load(instance.network_file, instance.keys)
     with bifrost.Node("valorctl", network=network) as node:
-        states = node.subscriber(MOTION_STATE.name, MotionState)
+        states = MOTION_STATE.subscriber(node)
         try:
-            reply = node.client(BEHAVIOR.name, BehaviorRequest, BehaviorReply).call(
-                BehaviorRequest(Behavior.GET_UP), timeout=_SILENT
-            )
+            reply = BEHAVIOR.client(node).call(BehaviorRequest(Behavior.GET_UP), timeout=_SILENT)
         except bifrost.Error as error:
             raise ValorError(f"the Motion Manager does not answer: {error}") from None
         if not reply.accepted:

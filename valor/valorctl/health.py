@@ -14,10 +14,10 @@ from typing import Any, Literal, Self
 import bifrost
 from valor.common.instance import Instance
 from valor.common.messages import Statistics
+from valor.common.processes import DAEMON
 from valor.common.topics import STATISTICS
 from valor.valorctl.supervision import ProcessInfo, ProcessState
 
-DAEMON = "bifrostd"
 SILENCE = 3.0  # without a word for this long, a process is not ready, whatever it said before [s]
 START_GRACE = 10.0  # a process may take this long to its first word [s]
 
@@ -109,9 +109,7 @@ class Listener:
         self._network = bifrost.Network.load(instance.network_file, instance.keys)
         self.node = bifrost.Node("valorctl", network=self._network)
         self._names = tuple(names)
-        self._subscribers = [
-            self.node.subscriber(STATISTICS[name].name, Statistics) for name in self._names if name in STATISTICS
-        ]
+        self._subscribers = [STATISTICS[name].subscriber(self.node) for name in self._names if name in STATISTICS]
         self.words: dict[str, Word] = {}
 
     def __enter__(self) -> Self:

@@ -27,7 +27,7 @@ def push(instance: Instance, impulse_in_world: tuple[float, float, float]) -> Pu
     with bifrost.Node("valorctl", network=network) as node:
         request = PushRequest(impulse_in_world=np.array(impulse_in_world), duration=DURATION)
         try:
-            reply = node.client(PUSH.name, PushRequest, PushReply).call(request, timeout=2.0)
+            reply = PUSH.client(node).call(request, timeout=2.0)
         except bifrost.NoServerError:
             raise ValorError(f"nobody serves {PUSH.name}: only a simulated robot can be pushed") from None
     if not reply.accepted:

@@ -236,7 +236,7 @@ class Watch:
         now = time.monotonic()
         restarts = self._supervisor.restarts()
         mode, clock = reports.control_mode, reports.clock
-        change = self._change(infos.get(BEHAVIOR_CHANGE.publisher), now)
+        change = self._change(infos.get(BEHAVIOR_CHANGE.owner), now)
         return Status(
             instance=self._instance.name,
             settings=self._settings,
@@ -255,7 +255,7 @@ class Watch:
 
     def _change(self, info: ProcessInfo | None, now: float) -> bifrost.Received[BehaviorChange] | None:
         """The last change of behavior, if the process that runs now made it, and is not silent."""
-        change, word = self._reports.change, self._listener.words.get(BEHAVIOR_CHANGE.publisher)
+        change, word = self._reports.change, self._listener.words.get(BEHAVIOR_CHANGE.owner)
         if change is None or word is None or info is None or word.pid != info.pid or now - word.heard > SILENCE:
             return None
         return change if now - change.stamp * 1e-9 <= info.uptime + UPTIME_STEP else None
@@ -295,9 +295,9 @@ class _Reports:
     """The newest of what is reported besides the processes' own state."""
 
     def __init__(self, node: bifrost.Node) -> None:
-        self._modes = node.subscriber(CONTROL_MODE.name, ControlModeReport)
-        self._clocks = node.subscriber(CLOCK.name, ClockStatus)
-        self._changes = node.subscriber(BEHAVIOR_CHANGE.name, BehaviorChange)
+        self._modes = CONTROL_MODE.subscriber(node)
+        self._clocks = CLOCK.subscriber(node)
+        self._changes = BEHAVIOR_CHANGE.subscriber(node)
         self.change: bifrost.Received[BehaviorChange] | None = None
         self.control_mode: ControlModeReport | None = None
         self.clock: ClockStatus | None = None
@@ -308,7 +308,7 @@ class _Reports:
         return tuple(subscriber for _, subscriber, heard in self._heard if heard is None)
 
     @property
-    def _heard(self) -> tuple[tuple[Topic, bifrost.Subscriber[Any], object], ...]:
+    def _heard(self) -> tuple[tuple[Topic[Any], bifrost.Subscriber[Any], object], ...]:
         return (
             (BEHAVIOR_CHANGE, self._changes, self.change),
             (CONTROL_MODE, self._modes, self.control_mode),
@@ -329,4 +329,4 @@ class _Reports:
 
     def awaited(self, ready: set[str]) -> set[str]:
         """Those of the processes that are ready whose report has not come."""
-        return {topic.publisher for topic, _, heard in self._heard if heard is None and topic.publisher in ready}
+        return {topic.owner for topic, _, heard in self._heard if heard is None and topic.owner in ready}

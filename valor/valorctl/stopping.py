@@ -20,7 +20,7 @@ import bifrost
 from valor.common.behaviors import EMERGENCY_STOP, REFLEX, Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import BehaviorReply, BehaviorRequest, Proprioceptor
+from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR, PROPRIOCEPTOR, STOP, ServiceTopic
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
@@ -183,11 +183,16 @@ class _Asked:
     """
 
     def __init__(
-        self, node: bifrost.Node, service: ServiceTopic, requests: Sequence[str], goal: Goal, began: float
+        self,
+        node: bifrost.Node,
+        service: ServiceTopic[BehaviorRequest, BehaviorReply],
+        requests: Sequence[str],
+        goal: Goal,
+        began: float,
     ) -> None:
         """``requests``: what it is asked for, each when it has refused the one before."""
-        self.path = Path(f"{service.server}, over Bifrost")
-        self.client = node.client(service.name, BehaviorRequest, BehaviorReply)
+        self.path = Path(f"{service.owner}, over Bifrost")
+        self.client = service.client(node)
         self.obeys = False
         self._requests, self._goal, self._began = requests, goal, began
         self._request = -1  # the one that is open; -1: none
@@ -244,7 +249,7 @@ class _MotionSystem:
         self._goal = goal
         network = bifrost.Network.load(instance.network_file, instance.keys)
         self._node = bifrost.Node("valorctl", network=network, recall=True)
-        self._states = self._node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._states = PROPRIOCEPTOR.subscriber(self._node)
         self._asked = [
             _Asked(self._node, BEHAVIOR, goal.requests, goal, began),
             _Asked(self._node, STOP, goal.requests[:1], goal, began),

@@ -17,7 +17,7 @@ from valor.common import membership
 from valor.common.behaviors import WALKING, WALKING_MODES, Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import ClockStatus, MotionState, Proprioceptor, VelocityCommand
+from valor.common.messages import ClockStatus, MotionState, VelocityCommand
 from valor.common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VALORCTL, VELOCITY
 from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import Walking as Limits
@@ -158,7 +158,7 @@ def _require_nobody_leads(node: bifrost.Node) -> None:
     Raises:
         ValorError: somebody else's velocities come.
     """
-    heard = node.subscriber(VELOCITY.name, VelocityCommand).receive(timeout=OTHERS)
+    heard = VELOCITY.subscriber(node).receive(timeout=OTHERS)
     if heard is not None:
         raise ValorError(f"the robot is being walked already: velocities come from {heard.origin}")
 
@@ -170,11 +170,11 @@ def _walk(
     check: Callable[[], None],
     tell: Callable[[float, float], None],
 ) -> Walk:
-    states = node.subscriber(MOTION_STATE.name, MotionState, queue=5000)
-    measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=5000)
-    clock = node.subscriber(CLOCK.name, ClockStatus, queue=100)
+    states = MOTION_STATE.subscriber(node, queue=5000)
+    measured = PROPRIOCEPTOR.subscriber(node, queue=5000)
+    clock = CLOCK.subscriber(node, queue=100)
     track, clocks = TrackBuilder(robot), list[ClockStatus]()
-    commands = node.publisher(VELOCITY.name, VelocityCommand)
+    commands = VELOCITY.publisher(node)
     run: _Run | None = None
     heard = time.monotonic()
     while run is None or not run.over:

@@ -19,7 +19,7 @@ from collections import Counter
 import numpy as np
 
 from valor.common.errors import ConfigurationError
-from valor.common.messages import DeviceStatus, Motor, Proprioceptor
+from valor.common.messages import Motor, Proprioceptor
 from valor.common.pacing import Pacer, Wall
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
@@ -85,7 +85,7 @@ class Hardware(Backend):
         self._synchronous = [device for device in self._devices if isinstance(device, CanDevice)]
         self._moving = [device for device in self._devices if len(device.joints)]
         self._watch = DeviceWatch(self._devices)
-        self._status = context.node.publisher(DEVICES.name, DeviceStatus)
+        self._status = DEVICES.publisher(context.node)
         self._pacer = Pacer(1.0, Wall())
         self._admitted = 0
         self._motor_sequence = 0

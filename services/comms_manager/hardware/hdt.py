@@ -17,6 +17,7 @@ import numpy as np
 import bifrost
 from valor.common import membership
 from valor.common.messages import HdtCommand, HdtState, JointMode
+from valor.common.topics import hdt_topics
 from valor.comms_manager.hardware.device import (
     Ailment,
     Device,
@@ -49,9 +50,8 @@ class _Limb:
         self.name, self.joints, self.part = table.group, joints, part
         self.every = table.every
         self.period = table.every / rate
-        topic = f"comms_manager/hdt/{table.group}"
-        self.commands = node.publisher(f"{topic}/command", HdtCommand)
-        self.states = node.subscriber(f"{topic}/state", HdtState)
+        commands, states = hdt_topics(table.group)
+        self.commands, self.states = commands.publisher(node), states.subscriber(node)
         self.record = UnitRecord(table.group)
         self.rejoining = Rejoining(len(joints))
         self.state: HdtState | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from valor.common.errors import ConfigurationError
-from valor.common.messages import GroundTruth, Proprioceptor
+from valor.common.messages import Proprioceptor
 from valor.common.pacing import Pacer, Wall
 from valor.common.topics import GROUND_TRUTH
 from valor.comms_manager.backend import Backend
@@ -28,7 +28,7 @@ class Simulation(Backend):
         self._pacer = Pacer(rate, Wall(), BACKLOG, HASTE)
         self._clock = CLOCKS[settings.clock](plant, robot.physics_steps(), self._pacer, context.trace)
         self._sensors = Sensors(robot, plant, robot.tables.actuators[settings.actuators].noise, settings.seed)
-        self._truth = Truth(robot, plant, context.node.publisher(GROUND_TRUTH.name, GroundTruth))
+        self._truth = Truth(robot, plant, GROUND_TRUTH.publisher(context.node))
         self._truth_every = max(1, round(robot.tables.control_rate / Truth.RATE))
         self._push_server = PushServer(context.node, plant)
         self._period = round(robot.control_period * 1e9)

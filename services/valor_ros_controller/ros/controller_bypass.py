@@ -34,11 +34,9 @@ from valor_msgs.msg import Rejection as RosRejection
 
 import bifrost
 from valor.common.behaviors import WALKING_MODES
-from valor.common.floods import COMMANDS
 from valor.common.messages import (
     BalanceWeights,
     HandGoal,
-    HandGoalStatus,
     JointGains,
     Rejection,
     VelocityCommand,
@@ -111,12 +109,12 @@ class ControllerBypass:
         self._cycle = 0
         self._newest: RealTimeBuffer[Twist] = RealTimeBuffer()
         self._waiting: deque[Callable[[ValorEscherHWInterface], object]] = deque(maxlen=QUEUE)
-        self._velocity = node.publisher(VELOCITY.name, VelocityCommand)
-        self._hand_goal = node.publisher(HAND_GOAL.name, HandGoal)
-        self._gains = node.publisher(JOINT_GAINS.name, JointGains)
-        self._weights = node.publisher(BALANCE_WEIGHTS.name, BalanceWeights)
-        self._statuses = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=5 * QUEUE, limit=COMMANDS)
-        self._rejections = node.subscriber(REJECTION.name, Rejection, queue=5 * QUEUE, limit=COMMANDS)
+        self._velocity = VELOCITY.publisher(node)
+        self._hand_goal = HAND_GOAL.publisher(node)
+        self._gains = JOINT_GAINS.publisher(node)
+        self._weights = BALANCE_WEIGHTS.publisher(node)
+        self._statuses = HAND_GOAL_STATUS.subscriber(node, queue=5 * QUEUE)
+        self._rejections = REJECTION.subscriber(node, queue=5 * QUEUE)
         self.heard = (self._statuses, self._rejections)
         commands: list[tuple[type, str, Callable[[Any], None]]] = [
             (Twist, CMD_VEL, self._newest.write),

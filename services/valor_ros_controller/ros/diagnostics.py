@@ -54,7 +54,7 @@ class ProcessDiagnostics:
 
     def __init__(self, name: str, node: bifrost.Node) -> None:
         self._name = name
-        self._subscriber = node.subscriber(STATISTICS[name].name, Statistics)
+        self._subscriber = STATISTICS[name].subscriber(node)
         self._newest: Statistics | None = None
         self._heard = 0.0  # [time.monotonic(), s]
         self._drops = 0
@@ -101,7 +101,7 @@ class DeviceDiagnostics:
     }
 
     def __init__(self, node: bifrost.Node) -> None:
-        self._subscriber = node.subscriber(DEVICES.name, DeviceStatus)
+        self._subscriber = DEVICES.subscriber(node)
         self._newest: DeviceStatus | None = None
 
     def statuses(self) -> list[DiagnosticStatus]:

@@ -13,8 +13,8 @@ import bifrost
 from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, go
 from tests.system import RosClient
-from valor.common.messages import HandGoalStatus, MotionState, Motor, Rejection, Statistics
-from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION, VALOR_ROS_CONTROLLER_STATISTICS
+from valor.common.messages import HandGoalStatus, MotionState, Rejection
+from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION, STATISTICS
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -42,7 +42,7 @@ class Rejections:
     """What the Motion Manager refuses."""
 
     def __init__(self, node: bifrost.Node) -> None:
-        self._subscriber = node.subscriber(REJECTION.name, Rejection, queue=100)
+        self._subscriber = REJECTION.subscriber(node, queue=100)
         self._heard: list[Rejection] = []
 
     def wait_for(self, topic: str, words: str) -> None:
@@ -69,7 +69,7 @@ class MotionStates:
     """The newest MotionState."""
 
     def __init__(self, node: bifrost.Node) -> None:
-        self._subscriber = node.subscriber(MOTION_STATE.name, MotionState)
+        self._subscriber = MOTION_STATE.subscriber(node)
 
     def newest(self) -> MotionState:
         received = self._subscriber.receive(PATIENCE)
@@ -120,7 +120,7 @@ def test_a_hand_is_led_to_a_pose_and_let_go(
     publish("/flor/r_hand/goal_pose", goal)
     rejections.wait_for("motion_manager/hand_goal", "manipulate behaviors; it is stand")
     go(ros, "stand_manipulate")
-    status = node.subscriber(HAND_GOAL_STATUS.name, HandGoalStatus, queue=1000)
+    status = HAND_GOAL_STATUS.subscriber(node, queue=1000)
     states: list[HandGoalStatus] = []
 
     def becomes(state: str) -> bool:
@@ -154,7 +154,7 @@ def test_gains_reach_the_motors_within_their_limits(
 
     name = "r_elbow_pitch"
     place = ROBOT.index[name]
-    motors = node.subscriber(MOTOR.name, Motor)
+    motors = MOTOR.subscriber(node)
 
     def stiffness() -> float:
         received = motors.receive(PATIENCE)
@@ -286,7 +286,7 @@ def test_points_and_contacts_are_there_for_plots_and_for_late_joiners(ros: RosCl
 def test_who_floods_a_topic_is_named(system: RunningInstance, ros: RosClient, node: bifrost.Node) -> None:
     from geometry_msgs.msg import Twist
 
-    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics)
+    statistics = STATISTICS["valor_ros_controller"].subscriber(node)
     publisher = ros.node.create_publisher(Twist, "/cmd_vel", 1)
     wait_until(publisher.get_subscription_count, PATIENCE, "the VRC to listen")
 

@@ -19,7 +19,7 @@ from tests.conftest import ROBOTS, RunningInstance, wait_until
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go
 from tests.system import RosClient
 from valor.common.errors import ConfigurationError
-from valor.common.messages import ModeStatus, MotionState
+from valor.common.messages import ModeStatus
 from valor.common.topics import MOTION_STATE
 from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
@@ -58,7 +58,7 @@ def publish(ros: RosClient, topic: str, message: Any) -> None:
 def test_whoever_commands_on_ros_is_refused_and_told_why(
     system: RunningInstance, unobeyed: RosClient, node: bifrost.Node
 ) -> None:
-    states = node.subscriber(MOTION_STATE.name, MotionState)
+    states = MOTION_STATE.subscriber(node)
     before = states.receive(PATIENCE)
     rejections = Topic(unobeyed, Rejection, "/flor/controller/rejection")
 

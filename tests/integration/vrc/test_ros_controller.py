@@ -17,11 +17,7 @@ from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, pass
 from tests.system import RosClient
 from valor.common.messages import (
     ControlModeReport,
-    JointSetpoints,
-    MotionState,
     Proprioceptor,
-    Rejection,
-    Statistics,
 )
 from valor.common.processes import BY_NAME, EXIT_CONFIGURATION
 from valor.common.topics import (
@@ -30,7 +26,7 @@ from valor.common.topics import (
     MOTION_STATE,
     PROPRIOCEPTOR,
     REJECTION,
-    VALOR_ROS_CONTROLLER_STATISTICS,
+    STATISTICS,
 )
 from valor.robot.description import RobotDescription
 
@@ -59,7 +55,7 @@ def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
 def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, node: bifrost.Node) -> None:
     from sensor_msgs.msg import Imu, JointState
 
-    senses = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor, queue=10_000)
+    senses = PROPRIOCEPTOR.subscriber(node, queue=10_000)
     states, imu = Topic(ros, JointState, "/joint_states"), Topic(ros, Imu, "/imu/data")
     measured: dict[int, Proprioceptor] = {}
 
@@ -92,7 +88,7 @@ def test_cmd_vel_walks_in_mode_walk_and_nowhere_else(ros: RosClient, node: bifro
     from geometry_msgs.msg import Twist
 
     publisher = ros.node.create_publisher(Twist, "/cmd_vel", 1)
-    motion = node.subscriber(MOTION_STATE.name, MotionState)
+    motion = MOTION_STATE.subscriber(node)
     twist = Twist()
     twist.linear.x = 0.3
     places: list[float] = []
@@ -153,7 +149,7 @@ def test_modes(ros: RosClient, node: bifrost.Node) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
 
     go(ros, "stand")
-    reports = node.subscriber(CONTROL_MODE.name, ControlModeReport, queue=1000)
+    reports = CONTROL_MODE.subscriber(node, queue=1000)
     repeat = ros.change_mode("STAND")
     assert repeat.status == ACCEPTED | DUPLICATE and repeat.current_control_mode == "stand"
     for name, status in (("dance", REJECTED | INVALID_MODE), ("none", REJECTED | INVALID_TRANSITION)):
@@ -199,7 +195,7 @@ def test_the_topic_changes_modes_and_an_emergency_stop_keeps_the_balance(ros: Ro
     wait_until(lambda: publisher.get_subscription_count() > 0, PATIENCE, "the VRC to listen to mode_command")
     publisher.publish(VigirControlModeCommand(requested_control_mode=VigirControlModeCommand.EMERGENCY_STOP))
     wait_until(lambda: ros.reports and ros.reports[-1].current_control_mode == "soft_stop", PATIENCE, "soft_stop")
-    state = node.subscriber(MOTION_STATE.name, MotionState)
+    state = MOTION_STATE.subscriber(node)
     received = state.receive(PATIENCE)
     assert received is not None and received.message.behavior == "soft_stop"
     state.close()
@@ -221,7 +217,7 @@ def test_goals_are_refused_in_stand(ros: RosClient) -> None:
 
 
 def test_arm_and_neck_reach_their_goals_without_a_jump(manipulating: RosClient, node: bifrost.Node) -> None:
-    setpoints = node.subscriber(JOINT_SETPOINTS.name, JointSetpoints, queue=10_000)
+    setpoints = JOINT_SETPOINTS.subscriber(node, queue=10_000)
     wait_until(setpoints.ready, PATIENCE, "set-points")
     answer = manipulating.follow("right_arm", [(0.5, HOME), (2.5, FORWARD)])
     assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
@@ -324,7 +320,7 @@ def test_the_pelvis_is_led_in_manipulate_and_nowhere_else(manipulating: RosClien
     assert answer.result.error_code == INVALID_GOAL and "pelvis_z at 2 m" in answer.result.error_string
     answer = manipulating.follow("pelvis", [(3.0, low)])
     assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
-    motion = node.subscriber(MOTION_STATE.name, MotionState)
+    motion = MOTION_STATE.subscriber(node)
     received = motion.receive(PATIENCE)
     motion.close()
     assert received is not None
@@ -477,7 +473,7 @@ def test_leaving_the_mode_aborts_the_goal(manipulating: RosClient) -> None:
 def test_mode_changes_do_not_make_the_motion_system_refuse_set_points_for_long(
     manipulating: RosClient, node: bifrost.Node
 ) -> None:
-    rejections = node.subscriber(REJECTION.name, Rejection, queue=1000)
+    rejections = REJECTION.subscriber(node, queue=1000)
     for mode in ("stand", "stand_manipulate", "manipulate", "stand", "stand_manipulate"):
         assert manipulating.change_mode(mode).status == ACCEPTED
     pass_robot_time(manipulating, 0.5)
@@ -493,7 +489,7 @@ def test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold(
 ) -> None:
     held = resting(manipulating)
     system.kill(VRC)
-    state = node.subscriber(MOTION_STATE.name, MotionState)
+    state = MOTION_STATE.subscriber(node)
     manipulating.reports.clear()
     system.start(VRC)
     system.wait_ready(VRC, PATIENCE)
@@ -529,7 +525,7 @@ def test_a_dead_motion_manager_aborts_goals_by_name_and_its_return_is_followed(
 def test_a_dead_comms_manager_is_named_and_its_return_is_followed(
     system: RunningInstance, ros: RosClient, node: bifrost.Node
 ) -> None:
-    statistics = node.subscriber(VALOR_ROS_CONTROLLER_STATISTICS.name, Statistics)
+    statistics = STATISTICS["valor_ros_controller"].subscriber(node)
 
     def detail() -> str:
         received = statistics.receive(1.0)

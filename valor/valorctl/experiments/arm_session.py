@@ -57,7 +57,7 @@ def record(
         description = RobotDescription.load(settings.robot)
         network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
         with bifrost.Node("experiment", network=network) as node:
-            devices = _Devices(description, node.subscriber(PROPRIOCEPTOR.name, Proprioceptor), run)
+            devices = _Devices(description, PROPRIOCEPTOR.subscriber(node), run)
             change = control_mode.change(run.instance, MODE, run.interruption.check)
             if not change.reached:
                 raise ValorError(change.describe())

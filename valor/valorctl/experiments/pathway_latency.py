@@ -25,7 +25,6 @@ from valor.analysis.pathways import (
 from valor.analysis.results import Measure, Table
 from valor.common.behaviors import ControlMode
 from valor.common.instance import Recording
-from valor.common.messages import Proprioceptor
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 from valor.valorctl.experiments.experiment import Run
@@ -175,7 +174,7 @@ class _RobotTime:
     """Waits in robot time, which a busy computer slows down, while the ROS client hears what comes."""
 
     def __init__(self, node: bifrost.Node, ros: RosClient) -> None:
-        self._measured = node.subscriber(PROPRIOCEPTOR.name, Proprioceptor)
+        self._measured = PROPRIOCEPTOR.subscriber(node)
         self._ros = ros
         self._now = 0
 

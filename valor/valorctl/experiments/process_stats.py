@@ -11,8 +11,7 @@ import bifrost
 from valor.analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor.analysis.results import Measure, Table
 from valor.common.errors import ValorError
-from valor.common.messages import ControlModeReport
-from valor.common.topics import BAG_RECORDER_STATISTICS, CONTROL_MODE, PROPRIOCEPTOR, Topic
+from valor.common.topics import CONTROL_MODE, PROPRIOCEPTOR, STATISTICS, Topic
 from valor.valorctl.console import bar
 from valor.valorctl.experiments.experiment import Run
 from valor.valorctl.supervision import Supervisor
@@ -29,7 +28,7 @@ def run(run: Run) -> None:
     bag = run.out / "process_stats.mcap"
     behaviors: list[tuple[float, str]] = []
     with run.system(bag=bag), bifrost.Node("experiment", network=_network(run)) as node:
-        reports = node.subscriber(CONTROL_MODE.name, ControlModeReport, queue=1000)
+        reports = CONTROL_MODE.subscriber(node, queue=1000)
         sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
         began, robot_time = time.monotonic(), _robot_time(run)
         with bar("standing", seconds, "s") as shown:
@@ -40,7 +39,7 @@ def run(run: Run) -> None:
                 shown(elapsed)
                 run.interruption.check()
         pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
-        dropped = _hear(run, BAG_RECORDER_STATISTICS).drops
+        dropped = _hear(run, STATISTICS["bag_recorder"]).drops
     usage = sampler.usage()
     run.text = (
         f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
@@ -83,12 +82,12 @@ def run(run: Run) -> None:
                 "Processor and memory of every process over time; below, what the Motion System did.")  # fmt: skip
 
 
-def _hear(run: Run, topic: Topic) -> Any:
+def _hear(run: Run, topic: Topic[Any]) -> Any:
     """The next message of a topic."""
     with bifrost.Node("experiment", network=_network(run)) as node:
-        received = node.subscriber(topic.name, topic.type).receive(timeout=PATIENCE)
+        received = topic.subscriber(node).receive(timeout=PATIENCE)
     if received is None:
-        raise ValorError(f"{topic.publisher} is silent: no {topic.name} within {PATIENCE:g} s")
+        raise ValorError(f"{topic.owner} is silent: no {topic.name} within {PATIENCE:g} s")
     return received.message
 
 
