@@ -14,28 +14,28 @@ import numpy as np
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
-from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.command import MotorCommand
-from valor.motion_manager.custody import BROUGHT_TO_STAND, Custody
-from valor.motion_manager.device_reactions import DeviceReactions
-from valor.motion_manager.get_up import GetUp
-from valor.motion_manager.hand_contact import HandContacts
-from valor.motion_manager.hand_goals import HandGoals
 from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.handlers.pelvis import PelvisHandler
+from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.handlers.tuning import TuningHandler
 from valor.motion_manager.handlers.velocity import VelocityHandler
-from valor.motion_manager.joint_gains import JointGains
-from valor.motion_manager.joint_reference import JointReference
-from valor.motion_manager.posture_control import AT_REST, PostureControl
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.hands.hand_contact import HandContacts
+from valor.motion_manager.hands.hand_goals import HandGoals
+from valor.motion_manager.joints.command import MotorCommand
+from valor.motion_manager.joints.joint_gains import JointGains
+from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.upper_body import UpperBody
+from valor.motion_manager.locomotion.get_up import GetUp
+from valor.motion_manager.locomotion.posture_control import AT_REST, PostureControl
 from valor.motion_manager.report import Reporter
-from valor.motion_manager.stance import Stance
-from valor.motion_manager.upper_body import UpperBody
-from valor.motion_manager.watchdogs import ProprioceptorWatchdog
+from valor.motion_manager.safety.custody import BROUGHT_TO_STAND, Custody
+from valor.motion_manager.safety.device_reactions import DeviceReactions
+from valor.motion_manager.safety.stance import Stance
+from valor.motion_manager.safety.watchdogs import ProprioceptorWatchdog
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,

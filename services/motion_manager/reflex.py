@@ -14,8 +14,8 @@ import numpy as np
 
 from valor.common.behaviors import BALANCING, REFLEX, STEPPING, WALKING, Behavior
 from valor.common.messages import Motor, Proprioceptor
-from valor.motion_manager.command import MotorCommand
-from valor.motion_manager.watchdogs import ProprioceptorWatchdog
+from valor.motion_manager.joints.command import MotorCommand
+from valor.motion_manager.safety.watchdogs import ProprioceptorWatchdog
 from valor.motion_manager.whole_body import (
     FallDetector,
     FloatingBaseEstimator,

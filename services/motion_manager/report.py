@@ -6,10 +6,10 @@ import numpy as np
 
 from valor.common.behaviors import Manipulation
 from valor.common.messages import MotionState
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.command import MotorCommand
-from valor.motion_manager.hand_contact import HandContacts
-from valor.motion_manager.hand_goals import HandGoals
+from valor.motion_manager.hands.hand_contact import HandContacts
+from valor.motion_manager.hands.hand_goals import HandGoals
+from valor.motion_manager.joints.command import MotorCommand
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body import QpStatus, RobotState, WholeBodyCommand, WholeBodyController
 
 _ZEROS = np.zeros(6)

@@ -36,9 +36,9 @@ from valor.common.topics import (
     VELOCITY,
 )
 from valor.common.trace import Stage
-from valor.motion_manager.custody import ASIDE
-from valor.motion_manager.hand_goals import SIDES
+from valor.motion_manager.hands.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
+from valor.motion_manager.safety.custody import ASIDE
 from valor.robot.model import controller_model
 from valor.service import Context, quiet_collector
 

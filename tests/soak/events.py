@@ -32,7 +32,7 @@ from valor.common.messages import (
     VelocityCommand,
 )
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS, JOINT_SETPOINTS, PELVIS, PUSH, VELOCITY
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
 from valor.valorctl import control_mode
 
 LONGEST_STOP = 7.0  # [s]

@@ -10,7 +10,7 @@ import yaml
 
 import valor.valor_ros_controller
 from valor.common.behaviors import OPERATIONAL, Behavior
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, RESUMED
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS, RESUMED
 
 STEPPING = frozenset({Behavior.STEP, Behavior.STEP_MANIPULATE, Behavior.WALK, Behavior.WALK_MANIPULATE})
 """A foot may be in the air."""

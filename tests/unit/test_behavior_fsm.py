@@ -12,8 +12,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.conftest import examples
 from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Behavior, Manipulation
-from valor.motion_manager.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
+from valor.motion_manager.states.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
 
 FINE = Conditions()
 BAD = Conditions("stand_prep has 1.0 s to go", "the left foot carries 0 N", "the pelvis is tilted")

@@ -10,7 +10,7 @@ import pytest
 
 from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Attention, Behavior, Locomotion, Manipulation
 from valor.common.errors import ConfigurationError
-from valor.motion_manager.behaviors import (
+from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     JOINT_ACCESS,

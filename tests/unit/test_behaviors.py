@@ -26,13 +26,15 @@ from valor.common.behaviors import (
     requested_by,
     requester,
 )
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, RESUMED, WAY_BACK
-from valor.motion_manager.device_reactions import DEMANDS, ENOUGH
+from valor.motion_manager.safety.device_reactions import DEMANDS, ENOUGH
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS, RESUMED, WAY_BACK
 from valor.valor_ros_controller.control_modes import ControlModeTable
 
 MODES = ControlModeTable.load()
 HOME = REPOSITORY / "valor" / "common" / "behaviors.py"
-DEMANDED = REPOSITORY / "services" / "motion_manager" / "device_reactions.py"  # which names a demand "soft_stop"
+DEMANDED = (
+    REPOSITORY / "services" / "motion_manager" / "safety" / "device_reactions.py"
+)  # which names a demand "soft_stop"
 EVERYDAY_WORDS = {"none", "idle", "stop", "step"}  # and of a plan, a verb, a clock, an option
 
 

@@ -15,9 +15,9 @@ from valor.common.messages import DeviceStatus
 from valor.comms_manager.hardware.condition import level as _level
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
 from valor.comms_manager.hardware.faults import LOOKS_TO_SILENCE, REACTIONS, UNREAD_AFTER, DeviceWatch, Reaction
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
-from valor.motion_manager.device_reactions import DEMANDS, DeviceReactions
+from valor.motion_manager.safety.device_reactions import DEMANDS, DeviceReactions
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
 from valor.robot.description import RobotDescription
 
 ROBOTS = Path(__file__).resolve().parents[2] / "robots"

@@ -12,7 +12,7 @@ from msgspec import structs
 
 from tests.conftest import ROBOTS
 from valor.common.table import read
-from valor.motion_manager.get_up import GetUp
+from valor.motion_manager.locomotion.get_up import GetUp
 from valor.planning import plan_table
 from valor.planning.__main__ import main, plan
 from valor.planning.check import check

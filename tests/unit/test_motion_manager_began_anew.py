@@ -8,8 +8,8 @@ import pytest
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, Robot, tilted
 from valor.common.behaviors import Behavior
 from valor.common.messages import JointMode
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import RESUMED, WAY_BACK
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
+from valor.motion_manager.states.transitions import RESUMED, WAY_BACK
 
 ARMS = [*ROBOT.group_indices("left_arm"), *ROBOT.group_indices("right_arm")]
 FOUND = ROBOT.nominal_posture.copy()  # but for the arms

@@ -9,7 +9,7 @@ from bifrost import Received
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
-from valor.motion_manager.hand_goals import GRACE
+from valor.motion_manager.hands.hand_goals import GRACE
 
 RIGHT = ROBOT.group_indices("right_arm")
 LEFT = ROBOT.group_indices("left_arm")

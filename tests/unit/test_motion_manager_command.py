@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.conftest import ROBOTS, examples
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.motion_manager.command import MotorCommand
+from valor.motion_manager.joints.command import MotorCommand
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 from valor.robot.description import RobotDescription
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.conftest import REPOSITORY
 from valor.common.behaviors import INTERNAL_STATES, Behavior
-from valor.motion_manager.behaviors import (
+from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     JOINT_ACCESS,

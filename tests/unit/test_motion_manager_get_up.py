@@ -12,7 +12,7 @@ from tests.conftest import ROBOTS
 from tests.unit.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.motion_manager.get_up import GetUp, SoleBalance
+from valor.motion_manager.locomotion.get_up import GetUp, SoleBalance
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import Balance
 

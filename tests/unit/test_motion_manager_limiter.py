@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.conftest import ROBOTS, examples
 from valor.common.arrays import FloatArray
-from valor.motion_manager.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
+from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
+from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
-from valor.motion_manager.posture_move import PostureMove
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

@@ -14,12 +14,12 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Attention, Behavior, Manipulation
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.hand_goals import HandGoals
 from valor.motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSetpointsHandler
-from valor.motion_manager.joint_reference import JointReference
-from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.upper_body import DWELL, SILENCE, UpperBody
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.hands.hand_goals import HandGoals
+from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.upper_body import DWELL, SILENCE, UpperBody
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
 

@@ -13,9 +13,9 @@ from tests.unit.test_motion_manager_footsteps import ahead, footstep
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import FootstepPlanRequest, Rejection, VelocityCommand
-from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.handlers.velocity import STALE, VelocityHandler
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.walking.footsteps import level_pose
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 

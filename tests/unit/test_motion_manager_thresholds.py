@@ -16,14 +16,14 @@ from tests.unit.test_motion_manager_bypass import goal, lead, standing
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
-from valor.motion_manager.hand_contact import HandContacts
 from valor.motion_manager.handlers.hand_goal import FARTHEST, NORM
 from valor.motion_manager.handlers.joint_setpoints import STALE
-from valor.motion_manager.joint_gains import CHANGE_TIME, JointGains
-from valor.motion_manager.posture_move import PostureMove
-from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.stance import FEET_LOAD, FOOT_LOAD, UPRIGHT, Stance
-from valor.motion_manager.watchdogs import LONGEST_GAP, ProprioceptorWatchdog
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.hands.hand_contact import HandContacts
+from valor.motion_manager.joints.joint_gains import CHANGE_TIME, JointGains
+from valor.motion_manager.joints.posture_move import PostureMove
+from valor.motion_manager.safety.stance import FEET_LOAD, FOOT_LOAD, UPRIGHT, Stance
+from valor.motion_manager.safety.watchdogs import LONGEST_GAP, ProprioceptorWatchdog
 
 TILT = UPRIGHT * ROBOT.tables.fall.tilt
 FOUND = Robot()

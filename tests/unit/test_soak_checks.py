@@ -16,7 +16,7 @@ from tests.soak import checks, rules
 from tests.unit.motion_states import motion_state
 from valor.common.behaviors import OPERATIONAL, Behavior
 from valor.common.messages import Motor
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS, RESUMED
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS, RESUMED
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

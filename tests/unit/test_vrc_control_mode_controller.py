@@ -12,7 +12,7 @@ from tests.conftest import examples
 from tests.unit.vrc_in_process import ModeClient
 from valor.common.behaviors import OPERATIONAL, Behavior
 from valor.common.messages import ModeStatus
-from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions, Verdict
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions, Verdict
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.behavior_transition import (
     REPORT_TIMEOUT,

@@ -8,7 +8,7 @@ import yaml
 from valor.common.behaviors import EMERGENCY_STOP, INTERNAL_STATES, Behavior
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
-from valor.motion_manager.behaviors import BEHAVIOR_TRANSITIONS
+from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable

@@ -20,14 +20,14 @@ from valor.common import topics
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
-from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.hand_goals import HandGoals
 from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
-from valor.motion_manager.joint_reference import JointReference
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.hands.hand_goals import HandGoals
+from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.upper_body import UpperBody
 from valor.motion_manager.limiter import Limiter
-from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.upper_body import UpperBody
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.whole_body.balance.pelvis import pelvis_limits
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model

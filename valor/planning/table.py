@@ -11,7 +11,7 @@ from valor.robot.description import RobotDescription
 
 FILE = "get_up.yaml"  # in the robot's folder
 _HEAD = """\
-# How {robot} gets up: key poses, made one after the other by the joints' servos (services/motion_manager/get_up.py).
+# How {robot} gets up: key poses, made one after the other by the joints' servos (motion_manager/locomotion/get_up.py).
 # Made from get_up_plan.yaml by `python -m valor.planning robots/{robot}`: change that, not this.
 # Duration and hold [s], joints [rad] (those that a pose does not name stay), pitch: of the pelvis afterwards, from and
 # to [deg]; outside of that it is given up.

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR
-from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
 
 
 class BehaviorHandler:

@@ -16,8 +16,8 @@ from valor.common import rotation
 from valor.common.behaviors import Locomotion
 from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.walking.footsteps import FEET, LEFT, Step, reach_refusal
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose

@@ -9,10 +9,10 @@ from valor.common import rotation
 from valor.common.behaviors import Manipulation
 from valor.common.messages import HandGoal as HandGoalMessage
 from valor.common.topics import HAND_GOAL
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.hand_goals import SIDES, HandGoal, HandGoals
 from valor.motion_manager.handlers.joint_setpoints import STALE
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.hands.hand_goals import SIDES, HandGoal, HandGoals
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 
 FRAMES = ("pelvis", "odom")
 FARTHEST = 10.0  # from a frame's origin that a goal is looked at at all [m]

@@ -13,11 +13,11 @@ from bifrost import Received
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.hand_goals import SIDES, HandGoals
-from valor.motion_manager.joint_reference import Setpoint
-from valor.motion_manager.rejections import Rejections
-from valor.motion_manager.upper_body import UpperBody
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
+from valor.motion_manager.joints.joint_reference import Setpoint
+from valor.motion_manager.joints.upper_body import UpperBody
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.robot.description import RobotDescription
 
 STALE = 0.5  # a set-point for a state older than this is refused [s of robot time]

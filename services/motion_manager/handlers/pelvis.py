@@ -8,9 +8,9 @@ from bifrost import Received
 from valor.common.behaviors import Locomotion
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
-from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.joint_setpoints import STALE
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.balance.pelvis import HEIGHT, PelvisReference
 
 

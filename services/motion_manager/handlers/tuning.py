@@ -15,9 +15,9 @@ from bifrost import Float64Array, Received
 from valor.common.messages import BalanceWeights as BalanceWeightsMessage
 from valor.common.messages import JointGains as JointGainsMessage
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.joint_gains import JointGains
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.joints.joint_gains import JointGains
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.tasks.weights import TASKS, TaskWeights
 from valor.robot.description import RobotDescription
 

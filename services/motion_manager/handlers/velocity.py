@@ -8,8 +8,8 @@ from bifrost import Received
 from valor.common.behaviors import Locomotion
 from valor.common.messages import VelocityCommand
 from valor.common.topics import VELOCITY
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
 STALE = 0.5  # a velocity for a state older than this is refused [s of robot time]

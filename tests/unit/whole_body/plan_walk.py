@@ -13,9 +13,9 @@ from tests.unit.whole_body.closed_loop import ClosedLoop
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest
 from valor.common.poses import Pose
-from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.walking.gait import sole_poses
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose

@@ -15,9 +15,9 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
-from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.pelvis import PelvisHandler
-from valor.motion_manager.rejections import Rejections
+from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.balance.pelvis import (
     LegKinematics,
     PelvisReference,

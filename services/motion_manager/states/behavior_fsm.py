@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 from valor.common.behaviors import INTERNAL_STATES, Attention, Behavior, Locomotion, Manipulation, requested_by
 from valor.common.errors import ValorError
-from valor.motion_manager.behaviors import (
+from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     LOCOMOTION_TRANSITIONS,

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.joint_reference import Joints
+from valor.motion_manager.joints.joint_reference import Joints
 from valor.robot.description import RobotDescription
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.kernel import Expression, Kernel
 from valor.motion_manager.limiter import JointLimiter
-from valor.motion_manager.posture_move import PostureMove
 from valor.robot.description import RobotDescription
 
 Joints = npt.NDArray[np.bool_]  # (n,) which ones

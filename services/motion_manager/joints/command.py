@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.motion_manager.joint_reference import Joints
+from valor.motion_manager.joints.joint_reference import Joints
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 from valor.motion_manager.whole_body import WholeBodyCommand
 from valor.robot.description import RobotDescription

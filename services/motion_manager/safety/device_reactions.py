@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from valor.common.behaviors import Behavior
 from valor.common.messages import DeviceStatus
-from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 
 _B = Behavior
 

@@ -11,10 +11,10 @@ from collections.abc import Callable
 
 from valor.common.behaviors import REFLEX, Behavior, Locomotion
 from valor.common.topics import PROPRIOCEPTOR
-from valor.motion_manager.behavior_fsm import BehaviorFsm
-from valor.motion_manager.behaviors import RESUMED, WAY_BACK, WAYS_TO
-from valor.motion_manager.stance import Stance
-from valor.motion_manager.watchdogs import LONGEST_GAP, Gap
+from valor.motion_manager.safety.stance import Stance
+from valor.motion_manager.safety.watchdogs import LONGEST_GAP, Gap
+from valor.motion_manager.states.behavior_fsm import BehaviorFsm
+from valor.motion_manager.states.transitions import RESUMED, WAY_BACK, WAYS_TO
 from valor.motion_manager.whole_body import RobotState
 
 ASIDE = "the Comms Manager brings the robot to stand, whose Motion Manager fell silent"

@@ -7,8 +7,8 @@ from enum import StrEnum
 import numpy as np
 
 from valor.common.behaviors import Attention, Locomotion, Manipulation
-from valor.motion_manager.behaviors import SETPOINT_STATES, joint_owners
-from valor.motion_manager.joint_reference import JointReference, Joints, Setpoint
+from valor.motion_manager.joints.joint_reference import JointReference, Joints, Setpoint
+from valor.motion_manager.states.transitions import SETPOINT_STATES, joint_owners
 from valor.robot.description import RobotDescription
 
 SILENCE = 0.2  # without set-points for so long, joints that followed them stop [s]

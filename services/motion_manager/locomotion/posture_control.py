@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.command import MotorCommand
-from valor.motion_manager.joint_reference import JointReference
-from valor.motion_manager.posture_move import PostureMove
+from valor.motion_manager.joints.command import MotorCommand
+from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.posture_move import PostureMove
 from valor.robot.description import RobotDescription
 
 SETTLING = 0.3  # after a move, until the posture counts as reached [s]

@@ -12,8 +12,8 @@ from math import asin, atan2, degrees, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.command import MotorCommand
-from valor.motion_manager.posture_move import PostureMove
+from valor.motion_manager.joints.command import MotorCommand
+from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.whole_body import RobotState
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Balance, KeyPose, load

@@ -20,7 +20,7 @@ import numpy as np
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
-from valor.motion_manager.joint_reference import JointReference, Setpoint
+from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.model import Model

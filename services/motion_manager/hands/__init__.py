@@ -1,0 +1,1 @@
+"""Hands: what they touch, and Cartesian goals that lead them."""

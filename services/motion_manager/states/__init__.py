@@ -1,0 +1,1 @@
+"""Behaviors: the state machines as tables, and who walks them."""
