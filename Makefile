@@ -47,7 +47,7 @@ $(STAMP): pyproject.toml requirements.txt $(ENVIRONMENT) $(WHEELS)/stamp
 	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces $(WHEELS)/*.whl
 	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost
 	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
-	@$(BIN)/python -m compileall -q bifrost services valor tests
+	@$(BIN)/python -m compileall -q bifrost services valor harness tests
 	@touch $@
 
 # The ROS 2 message packages, compiled once a Python. The compiler and the headers are looked for first: their absence

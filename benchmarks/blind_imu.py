@@ -13,7 +13,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.messages import Proprioceptor
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 

@@ -26,7 +26,7 @@ import numpy as np
 import pushes
 import walks
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 

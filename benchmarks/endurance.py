@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for the robots' folder, wh
 import numpy as np
 import psutil
 
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest, MotionState
 from valor.motion_manager.manager import MotionManager

@@ -22,8 +22,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which the tests share
 
-from tests.unit.whole_body.closed_loop import load_robot
-from tests.unit.whole_body.plan_walk import Walked, walk_plan
+from harness.closed_loop import load_robot
+from harness.plan_walk import Walked, walk_plan
 from valor.common.poses import level
 from valor.robot.motion_tables import Footsteps
 from valor.simulation import worlds

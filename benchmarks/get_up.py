@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.unit.robot_in_process import RobotInProcess
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
+from harness.robot_in_process import RobotInProcess
 from valor.robot.description import RobotDescription
 
 PUSHES: dict[str, tuple[float, float, float]] = {

@@ -24,8 +24,9 @@ from statistics import median
 import numpy as np
 
 from benchmarks.flights import over_stairs
-from tests.conftest import RunningInstance, fresh_instance, wait_until
-from tests.integration.device_system import Newest, RobotOnDevices, on_devices
+from harness.device_system import Newest, RobotOnDevices, on_devices
+from harness.instance import RunningInstance, fresh_instance
+from harness.waiting import wait_until
 from valor.common.messages import (
     Footstep,
     FootstepPlanRequest,

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.unit.walking_robot import End, Then, WalkingRobot
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
+from harness.walking_robot import End, Then, WalkingRobot
 
 Velocity = tuple[float, float, float]  # forward, left [m/s], turning [rad/s]
 AHEAD: Velocity = (0.3, 0.0, 0.0)

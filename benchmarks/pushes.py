@@ -13,7 +13,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps

@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # for the tests' network
 import zmq
 
 import bifrost
-from tests.bifrost.network import Answer, BifrostNetwork, Question, Sample, ports, sample, until
+from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample, ports, sample, until
 
 TOPIC, SERVICE = "lab/load", "lab/ask"
 READERS, EACH = 8, 5  # processes, and subscribers in each

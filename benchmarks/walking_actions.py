@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Protocol, Self
 
 from flights import over_stairs
 from live_system import System
 
+from harness.places import ROBOTS
 from valor.common.behaviors import WALKING
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
@@ -19,7 +19,7 @@ from valor.valorctl import stepping
 from valor.valorctl.step_plan import PlanStep
 from valor.valorctl.walking import Order, walk
 
-ROBOT = Path(__file__).parents[1] / "robots" / "escher"
+ROBOT = ROBOTS / "escher"
 STANDING = (-0.012, 0.1)  # x and |y| of the soles at the start [m]
 STEP = 0.25  # length on a floor taken for flat [m]
 QUICK_SECONDS, QUICK_DISTANCE, QUICK_PUSHES = 5.0, 2.0, 2  # of a run with --quick

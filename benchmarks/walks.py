@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from flights import over_stairs
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue

@@ -36,7 +36,8 @@ from cosmic_ray import plugins
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+from harness.places import REPOSITORY
+
 OUT = REPOSITORY / "build" / "mutants"
 OURS = ("valor", "bifrost", "tests")
 LONGEST = 10.0  # of all tests that a mutant is tried with, as they were without it, watched [s of CPU]
@@ -292,9 +293,9 @@ def _become_quiet(limit: int) -> None:
     """In a fork: a process group of its own, nothing printed, so much CPU and no more [s]."""
     os.setsid()
     os.environ[EXTERNAL] = "1"
-    patience = sys.modules["tests.conftest"].PATIENCE
+    patience = sys.modules["harness.waiting"].PATIENCE
     for name, module in list(sys.modules.items()):
-        if name.startswith("tests.") and getattr(module, "PATIENCE", None) == patience:
+        if name.startswith(("tests.", "harness.")) and getattr(module, "PATIENCE", None) == patience:
             module.PATIENCE = PATIENCE  # type: ignore[attr-defined]
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     for descriptor in (1, 2):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.bifrost import network
-from tests.bifrost.network import BifrostNetwork
+from harness import bifrost_network as network
+from harness.bifrost_network import BifrostNetwork
 from valor.valorctl.ros_domain import daemon_ports
 
 

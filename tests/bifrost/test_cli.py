@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import bifrost
 from bifrost.cli import app
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Question,

@@ -13,7 +13,7 @@ import pytest
 
 import bifrost
 from bifrost import Computer
-from tests.bifrost.network import Answer, BifrostNetwork, Question, Sample, until
+from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample, until
 
 
 def names(node: bifrost.Node) -> set[str]:

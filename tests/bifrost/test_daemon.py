@@ -13,7 +13,7 @@ import zmq
 import bifrost
 from bifrost import directory
 from bifrost.keepsake import recall
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Question,

@@ -14,8 +14,7 @@ import zmq
 import bifrost
 from bifrost import directory, wire
 from bifrost.directory import Entry, NodeRecord
-from tests.bifrost.network import (
-    REPOSITORY,
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Question,
@@ -25,7 +24,8 @@ from tests.bifrost.network import (
     sequences,
     until,
 )
-from tests.conftest import PATIENCE
+from harness.places import REPOSITORY
+from harness.waiting import PATIENCE
 
 JOINS_PER_SECOND = 24
 
@@ -103,7 +103,7 @@ def test_steps_of_the_wall_clock_change_nothing(bare_network: BifrostNetwork) ->
 
     net.log.touch()
     net.daemons[net.network.computer.name] = start("bifrost.daemon")
-    module = "tests.bifrost.peer"
+    module = "harness.bifrost_peer"
     peers = [start(module, "publish", "lab/sample", "200"), start(module, "serve", "lab/ask")]
     try:
         node = net.node("test")

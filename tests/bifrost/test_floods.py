@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import bifrost
 from bifrost.limits import Limit, Meter
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Question,
@@ -20,7 +20,8 @@ from tests.bifrost.network import (
     sequences,
     until,
 )
-from tests.conftest import PATIENCE, examples
+from harness.examples import examples
+from harness.waiting import PATIENCE
 
 LIMIT = Limit(rate=500.0, burst=100)
 

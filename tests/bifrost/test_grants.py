@@ -18,7 +18,7 @@ import bifrost
 from bifrost import Grants, directory
 from bifrost.network import own_key_file
 from bifrost.security import connect
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Question,

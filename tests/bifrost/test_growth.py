@@ -11,7 +11,7 @@ import pytest
 
 import bifrost
 from bifrost import security
-from tests.bifrost.network import BifrostNetwork, Sample, connected, sample, until
+from harness.bifrost_network import BifrostNetwork, Sample, connected, sample, until
 
 _TOPICS = 1050  # more than ZeroMQ's own limit of sockets
 _NODES = 100

@@ -9,7 +9,7 @@ import zmq
 
 from bifrost import wire
 from bifrost.publisher import Latch
-from tests.bifrost.network import BifrostNetwork, until
+from harness.bifrost_network import BifrostNetwork, until
 
 NAME = b"lab/sample\0"
 PATIENCE = 10_000  # [ms]

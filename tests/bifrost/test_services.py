@@ -14,7 +14,7 @@ import zmq
 import bifrost
 from bifrost import wire
 from bifrost.directory import Entry
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Peer,

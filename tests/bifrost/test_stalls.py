@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import zmq
 
-from tests.bifrost.network import Answer, BifrostNetwork, Question, Sample
-from tests.conftest import PATIENCE
+from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample
+from harness.waiting import PATIENCE
 
 STALL = 3.0  # longer than the heartbeats that libzmq would need to notice [s]
 REQUESTS = 3000  # more than a server's socket holds

@@ -17,7 +17,7 @@ import pytest
 import zmq
 
 import bifrost
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
     Peer,

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 import bifrost
 from bifrost import wire
 from bifrost.directory import Entry
-from tests.bifrost.network import (
+from harness.bifrost_network import (
     BifrostNetwork,
     Peer,
     Sample,
@@ -32,7 +32,7 @@ from tests.bifrost.network import (
     sequences,
     until,
 )
-from tests.conftest import examples
+from harness.examples import examples
 
 
 class Other(bifrost.Message):

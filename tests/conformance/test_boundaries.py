@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from harness.places import REPOSITORY
 from valor.common.processes import DAEMON, PROCESSES
 from valor.common.topics import SERVICE_TOPICS, STATISTICS, TOPICS
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 LINT_IMPORTS = [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"]
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+from harness.places import REPOSITORY
+
 WALL = {"time", "time_ns", "now", "utcnow", "today", "localtime", "gmtime"}
 DATES = {
     "services/bag_recorder/clock.py": "dates of recordings",

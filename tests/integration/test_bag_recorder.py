@@ -35,8 +35,9 @@ from std_msgs.msg import String
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 
 import bifrost
-from tests.conftest import RunningInstance, wait_until
-from tests.unit.motion_states import motion_state
+from harness.instance import RunningInstance
+from harness.motion_states import motion_state
+from harness.waiting import wait_until
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.bifrost_tap import QUEUE, BifrostTap
 from valor.bag_recorder.clock import WallClock

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import PATIENCE, REPOSITORY, RunningInstance, wait_until
-from tests.integration.servo_client import ServoClient
+from harness.instance import RunningInstance
+from harness.places import REPOSITORY
+from harness.servo_client import ServoClient
+from harness.waiting import PATIENCE, wait_until
 from valor.common.messages import (
     GroundTruth,
     JointMode,
@@ -91,9 +93,7 @@ class Watch:
 @contextmanager
 def client_process(instance: RunningInstance) -> Iterator[subprocess.Popen[bytes]]:
     """A ServoClient that can be stopped and killed."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.integration.servo_client"], cwd=REPOSITORY, env=instance.environment
-    )
+    process = subprocess.Popen([sys.executable, "-m", "harness.servo_client"], cwd=REPOSITORY, env=instance.environment)
     try:
         yield process
     finally:

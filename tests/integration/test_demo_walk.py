@@ -10,7 +10,7 @@ from pathlib import Path
 import matplotlib.image
 import pytest
 
-from tests.system import VALORCTL, System, leftovers, shared_memory
+from harness.system import VALORCTL, System, leftovers, shared_memory
 from valor.analysis.bag import Bag
 from valor.valorctl import walk_demonstration
 

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import wait_until
+from harness.system import RosClient, System, leftovers, running, shared_memory
+from harness.waiting import wait_until
 from tests.integration.vrc.vrc_system import resting, stamp
-from tests.system import RosClient, System, leftovers, running, shared_memory
 from valor.analysis.results import Result
 from valor.common.instance import Instance
 from valor.common.messages import GroundTruth, MotionState, Proprioceptor

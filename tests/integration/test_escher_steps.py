@@ -15,8 +15,8 @@ from msgspec import structs
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
-from tests.conftest import REPOSITORY, wait_until
-from tests.integration.step_system import (
+from harness.places import REPOSITORY
+from harness.step_system import (
     LIMIT,
     ROBOT,
     Goal,
@@ -28,6 +28,7 @@ from tests.integration.step_system import (
     put,
     system,
 )
+from harness.waiting import wait_until
 from valor.common.poses import Pose, level
 from valor.valorctl.step_plan import FEET, PlanStep, load
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.conftest import RunningInstance, wait_until
+from harness.instance import RunningInstance
+from harness.waiting import wait_until
 from tests.integration.test_motion_manager import STANDING, MotionSystem
 from valor.common.behaviors import Behavior
 from valor.common.messages import (

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.system import System, leftovers, shared_memory
+from harness.system import System, leftovers, shared_memory
 from valor.valorctl.verbs.experiments import INSTANCE
 
 

@@ -27,8 +27,9 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
 import bifrost
-from tests.conftest import RunningInstance, fresh_instance, wait_until
-from tests.system import in_executor
+from harness.instance import RunningInstance, fresh_instance
+from harness.system import in_executor
+from harness.waiting import wait_until
 from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STATISTICS, STEP_STATUS
 

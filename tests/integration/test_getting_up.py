@@ -8,8 +8,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.conftest import RunningInstance
-from tests.unit.motion_states import motion_state
+from harness.instance import RunningInstance
+from harness.motion_states import motion_state
 from valor.common.behaviors import requested_by
 from valor.common.errors import ValorError
 from valor.common.messages import BehaviorReply, BehaviorRequest

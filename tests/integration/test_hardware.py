@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS, RunningInstance, wait_until
-from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
+from harness.device_system import RobotOnDevices, on_devices
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.waiting import PATIENCE, wait_until
 from valor.common.messages import FaultRequest
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import FAULT, GROUND_TRUTH, PROPRIOCEPTOR

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
+from harness.instance import RunningInstance, fresh_instance
+from harness.places import ROBOTS
+from harness.waiting import wait_until
 from valor.common.arrays import FloatArray
 from valor.common.messages import FaultRequest, HdtCommand, HdtState, JointMode
 from valor.common.topics import FAULT, HDT_COMMANDS, HDT_STATES

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests import wheels
-from tests.conftest import REPOSITORY
-from tests.system import leftovers, shared_memory
+from harness import wheels
+from harness.places import REPOSITORY
+from harness.system import leftovers, shared_memory
 from valor.common.instance import Instance
 
 pytestmark = pytest.mark.timeout(wheels.TIMEOUT)

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
+from harness.instance import RunningInstance, fresh_instance
+from harness.places import ROBOTS
+from harness.waiting import wait_until
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import (
     BehaviorReply,

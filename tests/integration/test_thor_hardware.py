@@ -8,8 +8,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS, RunningInstance, wait_until
-from tests.integration.device_system import PATIENCE, RobotOnDevices, on_devices
+from harness.device_system import RobotOnDevices, on_devices
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.waiting import PATIENCE, wait_until
 from valor.common.messages import FaultRequest, JointSetpoints, Proprioceptor
 from valor.common.topics import FAULT, JOINT_SETPOINTS, PROPRIOCEPTOR
 from valor.devices.table import Dynamixel

@@ -23,9 +23,10 @@ import psutil
 import pytest
 
 import bifrost
-from tests.bifrost.network import mechanism, ports
-from tests.conftest import REPOSITORY, ROBOTS, wait_until
-from tests.turns import after, known, turns
+from harness.bifrost_network import mechanism, ports
+from harness.places import REPOSITORY, ROBOTS
+from harness.turns import after, known, turns
+from harness.waiting import wait_until
 from tests.unit.test_ros_domain import homes_that_begin_alike
 from tests.unit.test_valorctl_help import HEAVY, imported
 from valor.common import membership

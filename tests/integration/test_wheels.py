@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 import bifrost
-from tests import wheels
-from tests.conftest import REPOSITORY, wait_until
+from harness import wheels
+from harness.places import REPOSITORY
+from harness.waiting import wait_until
 from valor.valorctl.ros_domain import daemon_ports
 
 pytestmark = pytest.mark.timeout(wheels.TIMEOUT)

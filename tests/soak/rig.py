@@ -13,11 +13,11 @@ from pathlib import Path
 import psutil
 
 import bifrost
+from harness.system import VALORCTL, System, leftovers, shared_memory
 from tests.soak import disk
 from tests.soak.checks import unexpected_ends
 from tests.soak.rules import Modes, way
 from tests.soak.tap import Tap
-from tests.system import VALORCTL, System, leftovers, shared_memory
 from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
 from valor.common.instance import Instance

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests import analysis_bag
-from tests.conftest import examples
+from harness import analysis_bag
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.analysis import pictures, plots
 from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
@@ -21,7 +22,7 @@ from valor.common.messages import JointSetpoints, MotionState, Motor, Propriocep
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 
 
 @pytest.fixture(scope="module")

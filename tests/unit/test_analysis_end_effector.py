@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests import analysis_bag
+from harness import analysis_bag
+from harness.places import ROBOTS
 from valor.analysis.bag import Bag
 from valor.analysis.end_effector import Hand, HandTrack, PoseError, Poses
 from valor.analysis.errors import BagError
@@ -19,7 +20,7 @@ from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = ROBOT.tables.groups["right_arm"]
 NOMINAL = {joint: float(ROBOT.nominal_posture[ROBOT.index[joint]]) for joint in ARM}
 REACH = NOMINAL | {joint: goal for joint, goal in analysis_bag.GOALS.items() if joint in ARM}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.analysis.errors import DissimilarSignalsError, SignalError
 from valor.analysis.lag import lag, lags
 from valor.analysis.signals import Signal, common_rate

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests import pathway_bag as known
+from harness import pathway_bag as known
+from harness.places import ROBOTS
 from valor.analysis import pathway_plots
 from valor.analysis.bag import Bag
 from valor.analysis.pathways import Latencies
 from valor.robot.description import RobotDescription
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from tests import analysis_bag
-from tests.conftest import REPOSITORY
+from harness import analysis_bag
+from harness.places import REPOSITORY, ROBOTS
 from valor.analysis import pictures, plots
 from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError
 from valor.robot.description import RobotDescription
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 
 
 @pytest.fixture(scope="module")

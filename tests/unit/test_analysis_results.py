@@ -16,7 +16,8 @@ import numpy as np
 import psutil
 import pytest
 
-from tests import analysis_bag
+from harness import analysis_bag
+from harness.places import ROBOTS
 from valor.analysis import chapters, report_html, report_markdown, report_pdf
 from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError, ResultError, SignalError
@@ -28,7 +29,7 @@ from valor.analysis.style import figure, save
 from valor.analysis.timeline import Motion, Timeline
 from valor.robot.description import RobotDescription
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 
 
 def result(name: str = "one", pictures: list[Picture] | None = None) -> Result:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin
 
-from tests.analysis_bag import FREE, RATE, STAND, write
+from harness.analysis_bag import FREE, RATE, STAND, write
 from tests.unit.test_analysis_end_effector import ROBOT
 from tests.unit.test_bag_csv import COUNT
 from tests.unit.test_bag_csv import write as write_foreign

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.analysis_bag import write_messages
+from harness.analysis_bag import write_messages
 from tests.unit.test_walk_report import COUNT, LATE, ROBOT, SPEED, walk
 from valor.analysis.bag import Bag
 from valor.analysis.errors import BagError

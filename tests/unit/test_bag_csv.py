@@ -17,7 +17,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import bifrost
-from tests.conftest import examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.analysis.csv_export import export
 from valor.analysis.errors import BagError
 from valor.analysis.stored import StoredBag
@@ -28,7 +29,7 @@ from valor.common.messages import Motor
 from valor.robot.description import RobotDescription
 from valor.valorctl.__main__ import run as main
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 COUNT = 400  # messages a topic
 STORE = get_typestore(Stores.ROS2_JAZZY)
 Time, Header = STORE.types["builtin_interfaces/msg/Time"], STORE.types["std_msgs/msg/Header"]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from mcap.writer import Writer
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.bags.files import BEGINNING, LIBRARY, PROFILE, origin
 
 TEXTS = st.dictionaries(st.text(max_size=20), st.text(max_size=20), max_size=5)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.bag_recorder.quick_writer import QuickWriter
 
 U32, U64 = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)

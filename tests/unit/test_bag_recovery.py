@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.definitions import definition
 from valor.bags.index import BagError

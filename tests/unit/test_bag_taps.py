@@ -16,7 +16,8 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from valor_msgs.msg import VelocityCommand as Twin
 
-from tests.conftest import RunningInstance, wait_until
+from harness.instance import RunningInstance
+from harness.waiting import wait_until
 from valor.bag_recorder import clock
 from valor.bag_recorder.bag import SHARE, Bag
 from valor.bag_recorder.bifrost_tap import BifrostTap

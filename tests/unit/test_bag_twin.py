@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bifrost import Message, Received, codec
-from tests.conftest import examples
+from harness.examples import examples
 from valor.bag_recorder.definitions import UnknownTypeError, definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.common.messages import Footstep, FootstepPlanRequest, Motor

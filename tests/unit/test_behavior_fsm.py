@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Behavior, Manipulation
 from valor.motion_manager.states.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
 from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS

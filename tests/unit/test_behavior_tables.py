@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from itertools import product
-from pathlib import Path
 
 import msgspec
 import pytest
 
+from harness.places import ROBOTS
 from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Attention, Behavior, Locomotion, Manipulation
 from valor.common.errors import ConfigurationError
 from valor.motion_manager.states.transitions import (
@@ -20,8 +20,6 @@ from valor.motion_manager.states.transitions import (
     joint_owners,
 )
 from valor.robot.description import RobotDescription
-
-ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 
 # Figure 3.8 as it stands in the reconstruction, typed here once more: rows from, columns to.
 FIGURE_3_8 = """

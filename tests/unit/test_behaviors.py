@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import REPOSITORY, examples
+from harness.examples import examples
+from harness.places import REPOSITORY
 from valor.analysis import bands
 from valor.common.behaviors import (
     FALLEN,

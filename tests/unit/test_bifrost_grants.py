@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bifrost import Charter, Grants
 from bifrost.directory import Entry, NodeRecord
 from bifrost.grants import DAEMON, MEMBER
-from tests.conftest import examples
+from harness.examples import examples
 
 NAMES = ("arm", "eye", DAEMON)
 KEYS = {name: str(i) * 40 for i, name in enumerate(NAMES)}

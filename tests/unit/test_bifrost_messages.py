@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import bifrost
 from bifrost.messages import ArrayKind, Message
 from bifrost.schema import Schema, field_types, schema_of, type_from_schema
-from tests.conftest import examples
+from harness.examples import examples
 
 
 class Inner(bifrost.Message):

@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from bifrost import directory as d
 from bifrost import neighbors as module
 from bifrost.neighbors import Neighbors, Watch
-from tests.conftest import examples
+from harness.examples import examples
 
 _ENTRIES = st.lists(
     st.builds(

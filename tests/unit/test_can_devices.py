@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from tests.conftest import ROBOTS
-from tests.unit.bench import UNSOUND, Bench
+from harness.device_bench import UNSOUND, Bench
+from harness.places import ROBOTS
 from valor.common.messages import JointMode
 from valor.comms_manager.hardware.can_device import CanDevice
 from valor.comms_manager.hardware.device import DeviceError, Fault, JointCommands, JointMeasurement, WrenchMeasurement

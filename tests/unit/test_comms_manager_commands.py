@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.bifrost.network import BifrostNetwork, until
+from harness.bifrost_network import BifrostNetwork, until
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, N, Robot
 from valor.common.behaviors import REFLEX
 from valor.common.messages import JointMode, Motor

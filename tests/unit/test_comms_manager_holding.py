@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.common.messages import JointMode, Motor
 from valor.comms_manager.hardware.holding import holding
 

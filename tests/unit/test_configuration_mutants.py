@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import REPOSITORY, ROBOTS, examples
+from harness.examples import examples
+from harness.places import REPOSITORY, ROBOTS
 from valor.common import resources
 from valor.common.errors import ConfigurationError
 from valor.robot import checks, rules

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.places import ROBOTS
 from valor.common.behaviors import Behavior
 from valor.common.instance import Instance, Settings
 from valor.common.messages import DeviceStatus
@@ -20,7 +21,6 @@ from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
 from valor.robot.description import RobotDescription
 
-ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 PERIOD = 4_000_000  # [ns]
 

@@ -11,7 +11,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import REPOSITORY, examples
+from harness.examples import examples
+from harness.places import REPOSITORY
 from valor.common.document import MAX_BYTES, MAX_DEPTH, MAX_VALUES, Document
 from valor.common.errors import ConfigurationError
 

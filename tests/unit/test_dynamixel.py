@@ -14,7 +14,7 @@ from dynamixel_sdk import Protocol2PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import wait_until
+from harness.waiting import wait_until
 from valor.comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, StatusReader, number_of
 from valor.device_emulators.dynamixel_bus import DynamixelBus, Servo, crc16, encode, stuffed, unstuffed
 from valor.device_emulators.emulator import EmulatedFault, FaultSwitches

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, SMALLEST, EncoderWatch
 
 LIMIT = 6.0  # [rad/s]

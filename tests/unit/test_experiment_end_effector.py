@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests import analysis_bag
+from harness import analysis_bag
 from tests.unit.test_analysis_end_effector import NOMINAL, REACH, ROBOT, swaying
 from valor.analysis.results import Result
 from valor.analysis.timeline import Motion, Timeline

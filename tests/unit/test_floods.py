@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bifrost.limits import MUTE
-from tests.conftest import examples
+from harness.examples import examples
 from valor.common.floods import REMEMBERED, Floods
 
 

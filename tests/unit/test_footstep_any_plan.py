@@ -18,7 +18,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Foot, FootstepExecutionStatus, Step, StepPlan
 
-from tests.conftest import examples
+from harness.examples import examples
 from tests.unit.test_footstep_plan import LIMITS, MOVE, REACH, ROBOT, make_plan, plans
 from tests.unit.test_motion_manager_footsteps import Bench
 from valor.common.messages import Footstep

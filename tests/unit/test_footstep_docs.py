@@ -8,7 +8,7 @@ import pytest
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Feet, Foot, Step, StepPlan, StepPlanFeedback
 
-from tests.conftest import REPOSITORY
+from harness.places import REPOSITORY
 
 TYPES = {
     "StepPlan": StepPlan,

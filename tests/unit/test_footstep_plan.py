@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
 
+from harness.places import ROBOTS
 from valor.common.poses import Pose, level
 from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
 from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import Footsteps
 from valor.robot.soles import outline, overlap
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 assert ROBOT.tables.footsteps is not None
 REACH: Footsteps = ROBOT.tables.footsteps
 LIMITS = Limits(REACH, ROBOT.tables.feet)

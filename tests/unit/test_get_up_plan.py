@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from valor.common.table import read
 from valor.motion_manager.locomotion.get_up import GetUp
 from valor.planning import plan_table

@@ -19,7 +19,8 @@ from valor_msgs.msg import HdtCommand as RosCommand
 from valor_msgs.msg import HdtState as RosState
 
 import bifrost
-from tests.conftest import RunningInstance, wait_until
+from harness.instance import RunningInstance
+from harness.waiting import wait_until
 from tests.unit.test_hdt_bridge import diagnostics, same
 from valor.common.errors import ConfigurationError
 from valor.common.messages import HdtCommand, HdtState, Statistics

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.devices.hdt_bus import Fault, SegmentState, Setpoints
 from valor.hdt_driver.limb import ENGAGE, JUMP, SILENCE, Command, Limb
 from valor.robot.description import RobotDescription

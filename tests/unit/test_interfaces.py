@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from bifrost import Message, codec
+from harness.places import REPOSITORY
 from valor.common.messages import JointMode
 from valor.common.topics import TOPICS
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 INTERFACES = REPOSITORY / "interfaces"
 TWINS = INTERFACES / "valor_msgs" / "msg"
 HEADER = [("std_msgs/Header", "header"), ("uint64", "bifrost_sequence")]

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from tests.conftest import ROBOTS, wait_until
-from tests.unit.bench import UNSOUND, Bench, ailing, sound
+from harness.device_bench import UNSOUND, Bench, ailing, sound
+from harness.places import ROBOTS
+from harness.waiting import wait_until
 from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
 from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.device_emulators.emulator import EmulatedFault

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.motion_manager.joints.command import MotorCommand

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from harness.places import REPOSITORY
 from valor.common.behaviors import INTERNAL_STATES, Behavior
 from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,

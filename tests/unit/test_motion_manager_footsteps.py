@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest, StepStatus
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler

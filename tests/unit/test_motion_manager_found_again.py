@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest
 from valor.motion_manager.manager import MotionManager

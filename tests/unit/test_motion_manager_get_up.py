@@ -8,8 +8,8 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS
-from tests.unit.robot_in_process import RobotInProcess
+from harness.places import ROBOTS
+from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.motion_manager.locomotion.get_up import GetUp, SoleBalance

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
 from valor.motion_manager.joints.posture_move import PostureMove

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bifrost import Message, Received
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand

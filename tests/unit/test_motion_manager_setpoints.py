@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bifrost import Received
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from tests.unit.test_motion_manager_limiter import Watch
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Attention, Behavior, Manipulation

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bifrost import Received
-from tests.unit.robot_in_process import RobotInProcess
+from harness.robot_in_process import RobotInProcess
 from tests.unit.test_motion_manager_footsteps import ahead, footstep
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior

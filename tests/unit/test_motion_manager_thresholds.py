@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from bifrost import Received
-from tests.conftest import examples
+from harness.examples import examples
 from tests.unit.test_motion_manager_bypass import goal, lead, standing
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from valor.common.arrays import FloatArray

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from tests.conftest import REPOSITORY
-from tests.turns import known
+from harness.places import REPOSITORY
+from harness.turns import known
 from valor.common.priority import BACKGROUND_NICENESS, SHORT_TURN
 
 # In a process of its own: nobody wants the test runner in real time.
@@ -75,7 +75,7 @@ def test_one_has_the_last_core_and_the_rest_keep_off_it_if_there_are_two(cores: 
 
 _TURNS = """
 import sys, threading
-from tests.turns import turns
+from harness.turns import turns
 from valor.common.priority import take_turns
 
 found = [turns()]

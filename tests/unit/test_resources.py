@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError
 from valor.valorctl import step_plan

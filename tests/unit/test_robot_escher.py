@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from tests.unit.test_robots import ALL, configuration, forward
 from tests.unit.test_robots import FULL as FULL_MODELS
 from valor.common.arrays import FloatArray

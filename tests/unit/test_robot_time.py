@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from harness.places import ROBOTS
 from valor.common.instance import Settings
 from valor.common.messages import JointMode
 from valor.device_emulators.robot import LONGEST, PATIENCE, STALENESS, SimulatedRobot
 from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 
-DESCRIPTION = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher", 250.0)
+DESCRIPTION = RobotDescription.load(ROBOTS / "escher", 250.0)
 STALE = STALENESS * DESCRIPTION.control_period  # [s]
 STEP = 0.001  # of the physics [s]
 TURN = 0.002  # between looks [s]

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import wait_until
+from harness.waiting import wait_until
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl import ros_domain

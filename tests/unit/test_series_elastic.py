@@ -9,6 +9,7 @@ import can
 import numpy as np
 import pytest
 
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
@@ -20,7 +21,7 @@ from valor.devices.end_to_end import protect
 from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 TABLE = ROBOT.tables.devices["legs"]
 assert isinstance(TABLE, SeaCanFd)
 NAMES = TABLE.joints

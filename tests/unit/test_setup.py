@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+from harness.places import REPOSITORY
 
 
 def interpreter(file: Path, answer: str, status: int = 0) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tests.conftest import examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.table import checked, plain
@@ -21,7 +21,7 @@ from valor.robot.tables import ActuatorProfile, Gear, RobotTables
 from valor.simulation.actuators import Actuators
 from valor.simulation.gears import Gears
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)
 STEP = 0.001
 IDEAL = ActuatorProfile()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
+from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
 from valor.common.messages import JointMode, Motor, Proprioceptor
 from valor.robot.description import RobotDescription
@@ -17,7 +16,7 @@ from valor.simulation.gears import Gears
 from valor.simulation.plant import Plant, SimulationDivergedError, scene
 from valor.simulation.sensors import Sensors
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)
 NOMINAL = full_model(ROBOT)
 GRAVITY = 9.81

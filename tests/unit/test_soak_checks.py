@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 
-from tests.conftest import ROBOTS
+from harness.motion_states import motion_state
+from harness.places import ROBOTS
 from tests.soak import checks, rules
-from tests.unit.motion_states import motion_state
 from valor.common.behaviors import OPERATIONAL, Behavior
 from valor.common.messages import Motor
 from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS, RESUMED

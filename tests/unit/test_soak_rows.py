@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from harness.places import REPOSITORY
 from tests.soak import rows, rules
 from tests.soak.activities import ACTIVITIES
 from tests.soak.events import events

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import bifrost
-from tests.bifrost.network import BifrostNetwork, until
+from harness.bifrost_network import BifrostNetwork, until
 from valor.analysis.lanes import Lane
 from valor.common import trace as trace_module
 from valor.common.trace import Stage, Trace, Tracer, topic

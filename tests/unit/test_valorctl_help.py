@@ -15,7 +15,7 @@ import typer
 from typer.testing import CliRunner
 
 from bifrost import cli
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from valor.common.instance import Instance, Settings
 from valor.common.resources import profiles, robots
 from valor.simulation.world_names import WORLD_NAMES

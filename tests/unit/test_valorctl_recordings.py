@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from tests.unit.test_recordings import DAY1, DAY2, DAY3, record
 from valor.bag_recorder.bag import Bag
 from valor.bags import recordings

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 import yaml
 
-from tests.conftest import REPOSITORY
+from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings

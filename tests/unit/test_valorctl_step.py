@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
 
-from tests.conftest import REPOSITORY, ROBOTS
+from harness.places import REPOSITORY, ROBOTS
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.poses import Pose, level
 from valor.footstep_converter.plan import Limits, convert

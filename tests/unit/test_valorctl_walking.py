@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS
-from tests.unit.motion_states import motion_state
+from harness.motion_states import motion_state
+from harness.places import ROBOTS
 from valor.common.errors import ValorError
 from valor.robot.description import RobotDescription
 from valor.valorctl.steering import SIDEWAYS, TURNING, Line

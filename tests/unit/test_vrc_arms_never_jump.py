@@ -13,8 +13,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
-from tests.unit.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
+from harness.examples import examples
+from harness.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
 from valor.common import topics
 from valor.common.behaviors import Behavior, Locomotion
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint

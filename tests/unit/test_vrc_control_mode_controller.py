@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
-from tests.unit.vrc_in_process import ModeClient
+from harness.examples import examples
+from harness.places import ROBOTS
+from harness.vrc_in_process import ModeClient
 from valor.common.behaviors import OPERATIONAL, Behavior
 from valor.common.messages import ModeStatus
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions, Verdict
@@ -26,7 +25,7 @@ from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWIn
 
 S = ModeStatus
 TABLE = ControlModeTable.load()
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 
 
 class Plant:

@@ -1,10 +1,9 @@
 """The table of control modes agrees with ViGIR's messages, with the Motion System and with the documentation."""
 
-from pathlib import Path
-
 import pytest
 import yaml
 
+from harness.places import REPOSITORY
 from valor.common.behaviors import EMERGENCY_STOP, INTERNAL_STATES, Behavior
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
@@ -17,7 +16,6 @@ from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWIn
 
 TABLE = ControlModeTable.load()
 CONTROLLERS = ControllersTable.load()
-REPOSITORY = Path(__file__).resolve().parents[2]
 
 # Boston Dynamics' ids and upper-body flags as Team ViGIR's Atlas table binds them.
 BDI = {

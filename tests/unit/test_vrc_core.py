@@ -19,11 +19,14 @@ from scipy.spatial.transform import Rotation
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, examples, wait_until
+from harness.examples import examples
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.vrc_in_process import System
+from harness.waiting import wait_until
 from tests.unit.test_vrc_joint_trajectory_controller import PERIOD, Arm, point
 from tests.unit.test_vrc_trajectory import LIMITS, NOW
 from tests.unit.test_vrc_urdf import NAMES
-from tests.unit.vrc_in_process import System
 from valor.common.errors import ConfigurationError
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
 from valor.common.topics import BEHAVIOR, MOTION_STATE, STOP, ServiceTopic

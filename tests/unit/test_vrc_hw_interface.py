@@ -1,17 +1,16 @@
 """Claims and command rectification: one writer a joint, finite, within limits, no jump."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, JointClaimError, ValorEscherHWInterface
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM, NECK = ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")
 
 

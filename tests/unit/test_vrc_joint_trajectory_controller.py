@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.unit import motion_states
+from harness import motion_states
+from harness.places import ROBOTS
 from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
@@ -21,7 +21,7 @@ from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTraje
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
-ROBOT = RobotDescription.load(Path(__file__).resolve().parents[2] / "robots" / "escher")
+ROBOT = RobotDescription.load(ROBOTS / "escher")
 CONFIG = ControllersTable.load().joint_controllers["left_arm_traj_controller"]
 NAMES = ROBOT.tables.groups["left_arm"]
 HOME = ROBOT.nominal_posture

@@ -1,19 +1,16 @@
 """The links and frames of tf stand where MuJoCo's kinematics puts them."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
+from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
 from valor.valor_ros_controller.ros.transforms import LinkTransforms, multiply, rotate
-
-ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 
 
 @pytest.mark.parametrize("name", [path.parent.name for path in ROBOTS.glob("*/robot.yaml")])

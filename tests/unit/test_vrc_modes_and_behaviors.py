@@ -9,8 +9,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from tests.conftest import examples
-from tests.unit.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
+from harness.examples import examples
+from harness.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
 from valor.common.behaviors import EMERGENCY_STOP, Behavior
 from valor.common.messages import BehaviorRequest, ModeStatus
 from valor.valor_ros_controller import behavior_transition

@@ -12,8 +12,8 @@ import pytest
 from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message
 
-from tests.conftest import ROBOTS
-from tests.unit.motion_states import motion_state
+from harness.motion_states import motion_state
+from harness.places import ROBOTS
 from valor.common.messages import MotionState, Proprioceptor
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree

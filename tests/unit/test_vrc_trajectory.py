@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
+from harness.examples import examples
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.trajectory.limits import JointLimits

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from harness.places import ROBOTS
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valor_ros_controller.kinematic_tree import KinematicTree, read
 
-ROBOTS = Path(__file__).resolve().parents[2] / "robots"
 NAMES = [path.parent.name for path in ROBOTS.glob("*/robot.yaml")]
 
 

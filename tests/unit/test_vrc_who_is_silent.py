@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.vrc_in_process import SILENCE, System
+from harness.vrc_in_process import SILENCE, System
 from valor.common import topics
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS
-from tests.unit.motion_states import motion_state
+from harness.motion_states import motion_state
+from harness.places import ROBOTS
 from valor.analysis import track_builder, track_plot
 from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Figures, Timeliness, Track, knees

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds

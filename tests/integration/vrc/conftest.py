@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 import bifrost
-from tests.conftest import RunningInstance
+from harness.instance import RunningInstance
+from harness.system import RosClient
 from tests.integration.vrc.vrc_system import go, standing_robot
-from tests.system import RosClient
 
 
 @pytest.fixture(scope="package")

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.system import RosClient
+from harness.waiting import wait_until
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, go
-from tests.system import RosClient
 from valor.common.messages import HandGoalStatus, MotionState, Rejection
 from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION, STATISTICS
 from valor.robot.description import RobotDescription

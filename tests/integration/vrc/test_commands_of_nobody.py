@@ -15,9 +15,11 @@ from valor_msgs.msg import Rejection
 from vigir_footstep_planning_msgs.msg import StepPlan
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.system import RosClient
+from harness.waiting import wait_until
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go
-from tests.system import RosClient
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
 from valor.common.topics import MOTION_STATE

@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from tests.conftest import wait_until
+from harness.system import RosClient
+from harness.waiting import wait_until
 from tests.integration.vrc.documented_interfaces import PLACEHOLDERS, Row, names, rows, tables
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, stamp
-from tests.system import RosClient
 from valor.valor_ros_controller.control_modes import ControlModeTable
 
 OF_ROS = ("/rosout", "/parameter_events")

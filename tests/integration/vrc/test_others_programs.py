@@ -14,10 +14,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.conftest import RunningInstance
+from harness.instance import RunningInstance
+from harness.system import RosClient
 from tests.integration.vrc.documented_interfaces import rows
 from tests.integration.vrc.vrc_system import PATIENCE, go
-from tests.system import RosClient
 
 pytestmark = pytest.mark.timeout(580)
 CLIENT = Path(__file__).with_name("foreign_client.py")

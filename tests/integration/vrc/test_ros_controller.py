@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import bifrost
-from tests.conftest import ROBOTS, RunningInstance, wait_until
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.system import RosClient
+from harness.waiting import wait_until
 from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go, pass_robot_time, resting, stamp
-from tests.system import RosClient
 from valor.common.messages import (
     ControlModeReport,
     Proprioceptor,

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from tests.conftest import RunningInstance, fresh_instance, wait_until
-from tests.system import RosClient
+from harness.instance import RunningInstance, fresh_instance
+from harness.system import RosClient
+from harness.waiting import wait_until
 from valor.common.messages import ModeStatus
 
 VRC = "valor_ros_controller"

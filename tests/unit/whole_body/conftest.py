@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.whole_body.model.dynamics import Dynamics

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.closed_loop import ClosedLoop
+from harness.closed_loop import ClosedLoop
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor

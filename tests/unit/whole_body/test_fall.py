@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from tests.unit.whole_body.closed_loop import ClosedLoop
+from harness.closed_loop import ClosedLoop
 from valor.common import rotation
 from valor.motion_manager.whole_body import FallDetector, RobotState
 from valor.motion_manager.whole_body.balance.support import (

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps

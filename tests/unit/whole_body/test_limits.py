@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import examples
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
+from harness.examples import examples
 from valor.motion_manager.kernel import Kernel
 from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bifrost import Received
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import PelvisSetpoint

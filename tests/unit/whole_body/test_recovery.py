@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from valor.motion_manager.whole_body.walking.swing import SolePose

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from tests.conftest import ROBOTS
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
-from tests.unit.whole_body.plan_walk import walk_plan
+from harness.closed_loop import ClosedLoop, load_robot
+from harness.places import ROBOTS
+from harness.plan_walk import walk_plan
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.valorctl.step_planner import plan_to
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.motion_manager.whole_body import RobotState
 from valor.motion_manager.whole_body.balance.reference import Feet

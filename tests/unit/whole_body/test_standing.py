@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
 from valor.common.table import checked, plain
 from valor.motion_manager.whole_body import QpStatus

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tests.unit.whole_body.closed_loop import load_robot
+from harness.closed_loop import load_robot
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
 from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
 from valor.motion_manager.whole_body.walking.step_guard import StepGuard

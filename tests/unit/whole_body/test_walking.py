@@ -279,7 +279,7 @@ velocities = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-1.
 
 @given(velocities)
 def test_steps_on_line_are_within_reach_and_alternate(command: tuple[float, float, float]) -> None:
-    from tests.unit.whole_body.closed_loop import load_robot
+    from harness.closed_loop import load_robot
 
     tables = load_robot().tables
     assert tables.footsteps is not None

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from bifrost import Received
-from tests.unit.robot_in_process import RobotInProcess
+from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import VelocityCommand

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from bifrost import Received
-from tests.conftest import ROBOTS
-from tests.unit.motion_states import motion_state
+from harness.motion_states import motion_state
+from harness.places import ROBOTS
 from valor.common import topics
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion

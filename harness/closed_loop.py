@@ -8,12 +8,12 @@ real processes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import numpy.typing as npt
 
+from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.table import checked, plain
@@ -31,7 +31,6 @@ from valor.robot.tables import RobotTables
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 
-ROBOTS = Path(__file__).parents[3] / "robots"
 MODES = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.conftest import PATIENCE, wait_until
+from harness.waiting import PATIENCE, wait_until
 from valor.common.instance import Instance, Settings
 from valor.comms_manager.hardware import kinds as drivers
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault

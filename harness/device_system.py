@@ -7,15 +7,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import bifrost
-from tests.conftest import RunningInstance, fresh_instance, wait_until
+from harness.instance import RunningInstance, fresh_instance
+from harness.waiting import PATIENCE, wait_until
 from valor.common.messages import BehaviorRequest, DeviceStatus, MotionState
 from valor.common.topics import BEHAVIOR, DEVICES, MOTION_STATE, STATISTICS
 
 M = TypeVar("M", bound=bifrost.Message)
-PATIENCE = 60.0  # [s]
 _BEFORE = {"freeze": "stand_prep", "idle": "stand_prep", "soft_stop": "stand", "stand_prep": "stand"}
 
 
@@ -80,7 +80,7 @@ class RobotOnDevices:
 
 
 @contextmanager
-def on_devices(*drivers: str, **settings: object) -> Iterator[RunningInstance]:
+def on_devices(*drivers: str, **settings: Any) -> Iterator[RunningInstance]:
     """The hardware variant at 250 Hz: the emulators and drivers, then, when these are ready, what needs them."""
     with (
         tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,

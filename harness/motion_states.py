@@ -16,7 +16,7 @@ _FIELDS = codec(MotionState).schema.types[MotionState.__name__]
 
 def motion_state(position: tuple[float, float] = (0.0, 0.0), heading: float = 0.0, **fields: Any) -> MotionState:
     """A robot that walks at a place [m] with a heading [rad]; everything else is zero unless given."""
-    content = {name: _EMPTY[type_name] for name, type_name in _FIELDS}
+    content: dict[str, Any] = {name: _EMPTY[type_name] for name, type_name in _FIELDS}
     content |= {
         "behavior": "walk",
         "pelvis_position_in_odom": np.array([*position, 0.8]),

@@ -1,6 +1,6 @@
 """Stands in for the Motion Manager: answers each Proprioceptor with the nominal posture, on the joints' own servos.
 
-Used in process by tests; as a process of its own (``python -m tests.integration.servo_client``) where it is to be
+Used in process by tests; as a process of its own (``python -m harness.servo_client``) where it is to be
 stopped or killed.
 """
 

@@ -22,10 +22,10 @@ import psutil
 import bifrost
 from bifrost import Computer
 from bifrost.network import own_key_file
-from tests.conftest import PATIENCE
+from harness.places import REPOSITORY
+from harness.waiting import PATIENCE
 
 T = TypeVar("T")
-REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 class Sample(bifrost.Message):
@@ -111,7 +111,7 @@ class Peer:
 
     def __init__(self, environment: dict[str, str], *arguments: str, within: Sequence[str] = ()) -> None:
         self.process = subprocess.Popen(
-            [*within, sys.executable, "-m", "tests.bifrost.peer", *arguments],
+            [*within, sys.executable, "-m", "harness.bifrost_peer", *arguments],
             cwd=REPOSITORY,
             env=environment,
             stdout=subprocess.PIPE,

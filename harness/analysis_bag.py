@@ -32,7 +32,7 @@ def still(time: float) -> tuple[Any, float]:
 
 def simulate(
     robot: RobotDescription, pelvis: Callable[[float], tuple[Any, float]] = still
-) -> Iterator[tuple[Topic, Message]]:
+) -> Iterator[tuple[Topic[Any], Message]]:
     """The robot hung by its pelvis, its joints servoed after a reference that reaches out and comes back.
 
     The plant has gravity and the joints' own damping, so measurement, command and reference differ as they would.
@@ -108,14 +108,14 @@ def simulate(
 def write(
     path: Path,
     robot: RobotDescription,
-    without: Topic | None = None,
+    without: Topic[Any] | None = None,
     pelvis: Callable[[float], tuple[Any, float]] = still,
 ) -> None:
     """Simulate and write ``path``, without a topic if one is named; the pelvis as in ``simulate``."""
     write_messages(path, ((topic, message) for topic, message in simulate(robot, pelvis) if topic is not without))
 
 
-def write_messages(path: Path, messages: Iterable[tuple[Topic, Message]]) -> None:
+def write_messages(path: Path, messages: Iterable[tuple[Topic[Any], Message]]) -> None:
     """Write messages as the recorder names and types them, a millisecond of wall clock apart."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for file in sorted(DEFINITIONS.glob("*.msg")):

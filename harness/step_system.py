@@ -26,8 +26,10 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
-from tests.conftest import ROBOTS, RunningInstance, fresh_instance, wait_until
-from tests.system import RosClient
+from harness.instance import RunningInstance, fresh_instance
+from harness.places import ROBOTS
+from harness.system import RosClient
+from harness.waiting import wait_until
 from valor.common.messages import MotionState, PushRequest, StepStatus
 from valor.common.poses import Pose
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
@@ -159,7 +161,7 @@ class Walker:
         node = self.ros.node
         heard = self.ros._call(lambda: node.create_subscription(TFMessage, "/tf", self._keep, 10, raw=True))
         wait_until(lambda: len(self._newest) > 2, LIMIT, "tf")
-        found = wait_until(lambda: self.ros._call(look), LIMIT, "the soles in tf")
+        found: Soles = wait_until(lambda: self.ros._call(look), LIMIT, "the soles in tf")
         self.ros.destroy(node.destroy_subscription, heard)
         return found
 

@@ -7,7 +7,7 @@ import sys
 import time
 
 import bifrost
-from tests.bifrost.network import Answer, Question, Sample, sample
+from harness.bifrost_network import Answer, Question, Sample, sample
 
 
 def say(content: object) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from tests.unit.whole_body.closed_loop import ClosedLoop
+from harness.closed_loop import ClosedLoop
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest
 from valor.common.poses import Pose

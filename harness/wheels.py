@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.conftest import REPOSITORY
+from harness.places import REPOSITORY
 
 BUILD = REPOSITORY / "build"
 REQUIREMENTS = REPOSITORY / "requirements.txt"
@@ -57,7 +57,7 @@ class Environment:
         """Those of a shell that knows nothing of a checkout."""
         strangers = ("VALOR_", "BIFROST_", "ROS_", "_ROS_", "AMENT_", "LD_", "PYTHON", "VIRTUAL_ENV")
         kept = {name: value for name, value in os.environ.items() if not name.startswith(strangers)}
-        return kept | {"VALOR_HOME": str(self.home)} | self.more
+        return {**kept, "VALOR_HOME": str(self.home), **self.more}
 
     def run(self, program: str, *arguments: str, expect: int | None = 0) -> subprocess.CompletedProcess[str]:
         """Run one of its programs; its exit status must be ``expect`` (None: any)."""
