@@ -16,7 +16,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint docs bench mutants lock dist clean known-python
+.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint docs tables bench mutants lock dist clean known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -118,6 +118,10 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(DOCS)
+
+# What is written out of the tables of topics and processes, and of the messages.
+tables: $(STAMP)
+	$(BIN)/python -m valor.common.generate
 
 # The documentation as a site, in build/site: links that lead nowhere, and pages that no menu has, are errors.
 DOCS = NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -39,11 +39,10 @@ def test_import_contracts_can_fail(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("process", PROCESSES, ids=lambda process: process.name)
-def test_process_table_names_real_modules_and_budgets(process) -> None:  # type: ignore[no-untyped-def]
+def test_process_table_names_real_modules_and_processes(process) -> None:  # type: ignore[no-untyped-def]
     main = process.module if process.module.count(".") else f"{process.module}.__main__"
     assert importlib.util.find_spec(main), f"{process.name}: no module {main}"
-    assert process.cpu_budget > 0 and process.memory_budget > 0
-    assert set(process.needs) <= {other.name for other in PROCESSES}
+    assert {*process.needs, *process.after, *process.spokesmen} <= {other.name for other in PROCESSES}
 
 
 def test_every_service_of_the_table_has_statistics_and_topics_name_their_publisher() -> None:

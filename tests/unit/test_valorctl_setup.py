@@ -15,7 +15,7 @@ from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, PROCESSES, Process
+from valor.common.processes import BY_NAME, DAEMON, EXIT_CONFIGURATION, PROCESSES, Process
 from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup, supervisor_config
 from valor.valorctl.instance_setup import Request
@@ -63,8 +63,8 @@ def test_a_home_too_long_for_a_socket_is_refused_before_anything_happens(tmp_pat
         supervisor_config.socket_file(Instance("x", tmp_path / ("d" * 100)))
 
 
-def process(name: str, *needs: str) -> Process:
-    return Process(name, name, "", needs, False, 1.0, 1.0)
+def process(name: str, *after: str) -> Process:
+    return Process(name, "", 1.0, 1.0, after)
 
 
 def names(processes: Iterable[Process]) -> list[str]:
@@ -72,18 +72,19 @@ def names(processes: Iterable[Process]) -> list[str]:
 
 
 def test_processes_start_as_soon_as_what_they_need_is_ready() -> None:
-    table = [process("c", "b"), process("a"), process("b", "a"), process("d", "a")]
+    table = [process("c", "b"), process(DAEMON), process("a"), process("b", "a"), process("d", "a")]
     present = names(table)
-    assert names(free(table, [], present)) == ["a"]
-    assert names(free(table, ["a"], present)) == ["a", "b", "d"]
-    assert names(free(table, ["a", "b"], present)) == present
+    assert names(free(table, [], present)) == [DAEMON]
+    assert names(free(table, [DAEMON], present)) == [DAEMON, "a"]
+    assert names(free(table, [DAEMON, "a"], present)) == [DAEMON, "a", "b", "d"]
+    assert names(free(table, [DAEMON, "a", "b"], present)) == present
 
 
 def test_a_process_waits_for_others_where_the_profile_has_them() -> None:
-    late = Process("late", "late", "", (), False, 1.0, 1.0, after=("early",))
-    assert names(free([late], [], ["late", "early"])) == []
-    assert names(free([late], ["early"], ["late", "early"])) == ["late"]
-    assert names(free([late], [], ["late"])) == ["late"]
+    late = process("late", "early")
+    assert names(free([late], [DAEMON], ["late", "early"])) == []
+    assert names(free([late], [DAEMON, "early"], ["late", "early"])) == ["late"]
+    assert names(free([late], [DAEMON], ["late"])) == ["late"]
 
 
 @pytest.mark.parametrize("profile", sorted(file.stem for file in (REPOSITORY / "deploy").glob("*.yaml")))

@@ -121,7 +121,7 @@ class HandGoal(Message):
     active: bool  # False: let go, the rest is unread
     frame: str  # that the pose is given in: pelvis, odom
     position: Float64Array  # (3,) of the hand's site [m]
-    orientation: Float64Array  # (4,)
+    orientation: Float64Array  # (4,) w, x, y, z
 
 
 class JointGains(Message):

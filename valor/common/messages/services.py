@@ -30,7 +30,7 @@ class ControlModeReport(Message):
     time: int
     requested_control_mode: str
     current_control_mode: str
-    status: int  # ModeStatus
+    status: int  # ModeStatus: flags of vigir_humanoid_control_msgs/ControlModeStatus
     behavior: str  # of the Motion System, as last reported; empty: not heard
 
 

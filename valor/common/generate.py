@@ -1,0 +1,157 @@
+"""What is written out of the tables and messages: tables of the documentation, and the messages' ROS twins.
+
+``make tables`` writes them; a test says which of them are stale.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator, Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from bifrost import Message, codec
+from valor.common.messages import JointMode, Motor
+from valor.common.processes import PROCESSES
+from valor.common.topics import CONTROL_RATE, SERVICE_TOPICS, TOPICS, Topic
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+TWINS = REPOSITORY / "interfaces" / "valor_msgs" / "msg"
+ROS_TYPES = {
+    "bool": "bool",
+    "int": "int64",
+    "float": "float64",
+    "str": "string",
+    "list<str>": "string[]",
+    "float64[]": "float64[]",
+    "uint8[]": "uint8[]",
+}
+CONSTANTS: dict[type[Message], type[IntEnum]] = {Motor: JointMode}
+_END = "<!-- end -->"
+_HEADER = """\
+std_msgs/Header header    # stamp: publication on the wall clock; frame_id: the node that published it
+uint64 bifrost_sequence
+"""
+
+
+def twin(message: type[Message]) -> str:
+    """The ``.msg`` of a message's ROS twin: its docstring, a header, the fields with their comments."""
+    source = textwrap.dedent(inspect.getsource(message))
+    definition = ast.parse(source).body[0]
+    assert isinstance(definition, ast.ClassDef)
+    lines = source.splitlines()
+    comments = {
+        node.target.id: lines[(node.end_lineno or 0) - 1].partition("  # ")[2]
+        for node in definition.body
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
+    fields = [
+        (f"{ROS_TYPES[type_name]} {name}", comments[name])
+        for name, type_name in codec(message).schema.types[message.__name__]
+    ]
+    width = max((len(field) for field, comment in fields if comment), default=0)
+    blocks = [
+        "".join(f"# {line}".rstrip() + "\n" for line in inspect.cleandoc(message.__doc__ or "").splitlines()),
+        _HEADER,
+        "".join(f"uint8 {each.name} = {each.value}\n" for each in CONSTANTS.get(message, ())),
+        "".join(f"{field:{width}}  # {comment}\n" if comment else f"{field}\n" for field, comment in fields),
+    ]
+    return "\n".join(filter(None, blocks))
+
+
+def processes() -> str:
+    """The table of processes."""
+    return _table(
+        ("process", "does", "starts after", "CPU [% of a core]", "memory [MiB]"),
+        (
+            (
+                f"`{each.name}`",
+                each.description + ("; hardware only" if each.hardware_only else ""),
+                _names((*each.needs, *each.after)),
+                f"{each.cpu_budget:g}",
+                f"{each.memory_budget:g}",
+            )
+            for each in PROCESSES
+        ),
+    )
+
+
+def topics() -> str:
+    """The table of Bifrost topics."""
+    return _table(
+        ("topic", "type", "published by", "rate [Hz]", "recorded", ""),
+        (
+            (
+                f"`{each.name}`",
+                f"`{each.type.__name__}`",
+                _names(each.publishers),
+                _rate(each),
+                {0: "no", 1: "all"}.get(each.record_every, f"1 of {each.record_every}"),
+                each.description + ("; latched" if each.latched else ""),
+            )
+            for each in TOPICS
+        ),
+    )
+
+
+def services() -> str:
+    """The table of Bifrost services."""
+    return _table(
+        ("service", "request", "reply", "served by", ""),
+        (
+            (
+                f"`{each.name}`",
+                f"`{each.request.__name__}`",
+                f"`{each.reply.__name__}`",
+                _names(each.servers),
+                each.description,
+            )
+            for each in SERVICE_TOPICS
+        ),
+    )
+
+
+TABLES = {processes: "docs/architecture.md", topics: "docs/interfaces.md", services: "docs/interfaces.md"}
+"""Where each stands, between ``<!-- processes -->`` and ``<!-- end -->``."""
+
+
+def texts() -> dict[Path, str]:
+    """Every file that is written, as it shall be.
+
+    Raises:
+        ValueError: a page has no place for its table.
+    """
+    made = {TWINS / f"{topic.type.__name__}.msg": twin(topic.type) for topic in TOPICS}
+    for table, page in TABLES.items():
+        path = REPOSITORY / page
+        text, begin = made.get(path) or path.read_text(), f"<!-- {table.__name__}: by `make tables` -->\n"
+        before, found, behind = text.partition(begin)
+        _, ended, after = behind.partition(_END)
+        if not found or not ended:
+            raise ValueError(f"{page}: expected {begin.strip()}, then the table, then {_END}")
+        made[path] = f"{before}{begin}\n{table()}\n{_END}{after}"
+    return made
+
+
+def _rate(topic: Topic[Any]) -> str:
+    if topic.rate is None:
+        return "on change"
+    return "control rate" if topic.rate == CONTROL_RATE else f"{topic.rate:g}"
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names) or "–"
+
+
+def _table(head: Sequence[str], rows: Iterator[Sequence[str]]) -> str:
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rows))
+
+
+if __name__ == "__main__":
+    for path, text in texts().items():
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+            print(path.relative_to(REPOSITORY))
