@@ -119,7 +119,7 @@ def _correlation(x: FloatArray, y: FloatArray, reach: int) -> FloatArray:
     n = len(x)
     x, y = x - x.mean(), y - y.mean()
     if min(np.ptp(x), np.ptp(y)) <= _FLAT * max(np.abs(x).max(), np.abs(y).max(), _FLAT):
-        raise DissimilarSignalsError("a signal does not change: no delay can be told")
+        raise DissimilarSignalsError("a signal does not change: no delay can be computed")
     shifts = np.arange(-reach, reach + 1)
     products = scipy_signal.correlate(y, x, mode="full")[n - 1 - reach : n + reach]
     # Of x the samples [a, b), of y those k later.

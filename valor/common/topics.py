@@ -110,10 +110,10 @@ JOINT_SETPOINTS = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,  
 VELOCITY        = Topic("motion_manager/velocity",           m.VelocityCommand,   _VRC,    None,         1, "walking velocity; times out", (VALORCTL,), queue=4)
 PELVIS          = Topic("motion_manager/pelvis",             m.PelvisSetpoint,    _VRC,    250.0,        1, "where the pelvis shall be", queue=16)
 HAND_GOAL       = Topic("motion_manager/hand_goal",          m.HandGoal,          _VRC,    None,         1, "where a hand shall be", queue=4)
-HAND_GOAL_STATUS = Topic("motion_manager/hand_goal_status",  m.HandGoalStatus,    _MOTION, None,         1, "how a hand fares on its way")
+HAND_GOAL_STATUS = Topic("motion_manager/hand_goal_status",  m.HandGoalStatus,    _MOTION, None,         1, "progress of a hand towards its goal")
 JOINT_GAINS     = Topic("motion_manager/joint_gains",        m.JointGains,        _VRC,    None,         1, "stiffness and damping", queue=4)
 BALANCE_WEIGHTS = Topic("motion_manager/balance_weights",    m.BalanceWeights,    _VRC,    None,         1, "weights of the tasks", queue=4)
-DEVICES         = Topic("comms_manager/devices",             m.DeviceStatus,      _COMMS,  None,         1, "how the devices fare; hardware only")
+DEVICES         = Topic("comms_manager/devices",             m.DeviceStatus,      _COMMS,  None,         1, "state of every device; hardware only")
 CONTROL_MODE    = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,    10.0,         1, "the VRC's control mode", latched=True)
 GROUND_TRUTH    = Topic("simulation/ground_truth",           m.GroundTruth,       _COMMS,  100.0,        1, "the simulator's truth; no controller may read it", (_EMULATORS,))
 
@@ -126,7 +126,7 @@ HDT_STATES = {
     for limb in HDT_COMMANDS
 }
 STATISTICS = {
-    process.name: Topic(f"{process.name}/statistics", m.Statistics, process.name, 1.0, 1, "how it fares", process.spokesmen, latched=True)
+    process.name: Topic(f"{process.name}/statistics", m.Statistics, process.name, 1.0, 1, "state of a process", process.spokesmen, latched=True)
     for process in PROCESSES if process.name != DAEMON
 }
 

@@ -131,7 +131,7 @@ def _shared(
         str | None,
         typer.Option(
             envvar="VALOR_INSTANCE",
-            help="Which of the systems on this computer; `default` unless told otherwise.",
+            help="Which of the systems on this computer; `default` if none is named.",
             autocompletion=completion.instances,
         ),
     ] = None,

@@ -201,7 +201,7 @@ def _disk(instance: Instance) -> Finding:
     try:
         ahead, limit = recording_report.prospect(instance)
     except ValorError as error:
-        return Finding("disk", "fail", str(error), "remove the file; the next `up` writes it anew")
+        return Finding("disk", "fail", str(error), "remove the file; the next `up` writes it again")
     text = f"{ahead.free / 1e9:.1f} GB free under {folder}; {ahead.line()}"
     if ahead.free < _LEAST_DISK * 2**30:
         return Finding("disk", "warn", text, f"make room: {_LEAST_DISK:g} GiB are a start; `valorctl bag prune`")
@@ -238,7 +238,7 @@ def _real_time(_: Instance) -> Finding:
     instead = f"at nice {niceness} on hardware, like all else in sim" if nice else "like all else"
     advice = (
         f"/etc/security/limits.d/valor.conf: `{getpass.getuser()} - rtprio {priority}` and `… - nice {niceness}`, then "
-        "log in anew; in a container: --cap-add SYS_NICE"
+        "log in again; in a container: --cap-add SYS_NICE"
     )
     return Finding("real time", "warn", f"SCHED_FIFO is not granted: control loops run {instead}", advice)
 

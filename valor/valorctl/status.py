@@ -151,7 +151,7 @@ def unsupervised(instance: Instance, left: int) -> str:
     """What to say of an instance whose supervisor is gone."""
     option = Instance.option(instance.name)
     if not left:
-        return f"instance {instance.name!r} has crashed: nothing of it runs; `valorctl up{option}` starts it anew"
+        return f"instance {instance.name!r} has crashed: nothing of it runs; `valorctl up{option}` starts it again"
     return (
         f"instance {instance.name!r}: its supervisor does not answer, nothing restarts its {left} processes that are "
         f"left; `valorctl down{option}` clears it away"

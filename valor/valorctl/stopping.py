@@ -307,7 +307,7 @@ class _MotionSystem:
     def seen(self) -> str:
         """What is known of the motors."""
         if not self._heard:
-            silent = "comms_manager is silent: nothing tells what the motors do"
+            silent = "comms_manager is silent: what the motors do is unknown"
             return silent if self._node.discovery.connected else f"{silent}; {self._node.daemon_silent}"
         return f"the motors obey {self._behavior or 'nobody yet'}"
 

@@ -93,7 +93,7 @@ def trace(instance: Instance, seconds: float, check: Callable[[], None], tell: C
         lanes = {name: Lane.of(name, heard[name]) for name in LOOPS if heard.get(name)}
         periods = Periods.of(lanes, nominal)
     except SignalError as error:
-        raise ValorError(f"{error}; `valorctl status` says how the processes fare") from None
+        raise ValorError(f"{error}; `valorctl status` shows the state of the processes") from None
     cost = {name: 100.0 * lane.cost / (lane.end[-1] - lane.start[0]) for name, lane in lanes.items()}
     return Tracing(ended - began, periods, periods.ranking(), cost, threads)
 

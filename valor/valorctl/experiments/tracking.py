@@ -43,7 +43,7 @@ def run(run: Run) -> None:
         _, real, timeline = _session(run, "real_arms", ", with the real robot's arms", profile)
         run.text += (
             f" A second time with the arms as they were (actuators {profile}): friction, play, no gravity "
-            "compensation, and a right wrist yaw that hardly turns whatever it is told."
+            "compensation, and a right wrist yaw that hardly turns, whatever its command."
         )
         *others, wrist = (abs(one.final_error(timeline)) for one in real)
         run.measures += [
