@@ -17,7 +17,7 @@ from valor.valorctl.verbs import recordings
 if TYPE_CHECKING:
     from valor.valorctl.bag_summary import BagSummary
 
-bag = typer.Typer(name="bag", help="Look into recordings, and repair them.", no_args_is_help=True, rich_markup_mode=None)
+bag = typer.Typer(name="bag", help="Look into recordings and repair them.", no_args_is_help=True, rich_markup_mode=None)
 
 File = Annotated[Path, typer.Argument(help="An .mcap file.")]
 
