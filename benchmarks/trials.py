@@ -19,7 +19,7 @@ from valor.common.errors import ValorError
 from valor.common.messages import GroundTruth, Proprioceptor
 from valor.common.poses import Pose
 from valor.common.topics import GROUND_TRUTH, PROPRIOCEPTOR
-from valor.devices.table import Device, Dynamixel, FtCan, HdtBifrost, SeaCanFd
+from valor.devices.dynamixel import Dynamixel
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valorctl import arm_motion, status, stepping
@@ -227,25 +227,11 @@ def told(bench: Bench) -> Values:
     yield "status: not ready, or restarted", sum(each.state != "ready" or each.restarts > 0 for each in look.services)
     if bench.variant == "hardware":
         rows = _device_rows(bench)
-        expected = sum(map(_units, bench.robot.tables.devices.values()))
+        expected = sum(max(1, len(device.units)) for device in bench.robot.tables.devices.values())
         ailing = [f"{name.removeprefix(DEVICE_ROW)}: {text}" for name, (level, text) in rows.items() if level]
         yield "/diagnostics: units missing or not well", expected - len(rows) + len(ailing)
         if ailing:
             raise ValorError(", ".join(ailing))
-
-
-def _units(device: Device) -> int:
-    """How many a device has."""
-    match device:
-        case SeaCanFd():
-            return len(device.controllers)
-        case FtCan():
-            return len(device.sensors)
-        case Dynamixel():
-            return len(device.servos)
-        case HdtBifrost():
-            return len(device.limbs)
-    return 1
 
 
 def _device_rows(bench: Bench) -> dict[str, tuple[int, str]]:

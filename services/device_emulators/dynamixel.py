@@ -8,13 +8,13 @@ import numpy as np
 
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.device_emulators.dynamixel_bus import DynamixelBus, Servo
+from valor.device_emulators.dynamixel_bus import DynamixelBus
+from valor.device_emulators.dynamixel_servo import Servo
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
 from valor.device_emulators.serial_port import FaultyLine, SerialPort
-from valor.devices.dynamixel import MODELS, OperatingMode
+from valor.devices.dynamixel import MODELS, Dynamixel, DynamixelServo, OperatingMode
 from valor.devices.ports import serial_port
-from valor.devices.table import Dynamixel, DynamixelServo
 from valor.robot.description import RobotDescription
 
 ADAPTER = "port"  # the unit that all servos are behind: unplugged, the port is gone

@@ -12,19 +12,15 @@ stuffed behind it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from valor.devices.dynamixel import (
-    DEFAULT_SHUTDOWN,
-    HardwareError,
-    Item,
-    OperatingMode,
-    ServoModel,
-)
+from valor.device_emulators.dynamixel_servo import Error, Servo
+from valor.devices.frame_stream import FrameStream
 
 HEADER = b"\xff\xff\xfd\x00"
+PREFIX = 7  # up to the length, which counts from there [B]
 BROADCAST = 0xFE
 MAX_LENGTH = 1024
 
@@ -39,149 +35,6 @@ class Instruction(IntEnum):
     STATUS = 0x55
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
-
-
-class Error(IntEnum):
-    """Why a servo does not do it; bit 7 of a status says that ``hardware_error`` is not 0."""
-
-    NONE = 0
-    INSTRUCTION = 2
-    CRC = 3
-    DATA_RANGE = 4
-    DATA_LENGTH = 5
-    ACCESS = 7
-    ALERT = 0x80
-
-
-class Servo:
-    """One servo: its control table, written by the driver; its present values, written by what feels the joint.
-
-    Attributes:
-        temperature: of the motor [°C].
-        voltage: of the supply [V].
-    """
-
-    def __init__(self, servo_id: int, model: ServoModel, firmware: int) -> None:
-        self.id = servo_id
-        self.model = model
-        table = model.table
-        self._registers = bytearray(table.size)
-        self.set(table.model_number, model.number)
-        self.set(table.firmware, firmware)
-        self.set(table.id, servo_id)
-        self.set(table.operating_mode, OperatingMode.POSITION)
-        self.set(table.temperature_limit, model.temperature_limit)
-        self.set(table.max_voltage, round(13.3 * model.voltage))
-        self.set(table.min_voltage, round(7.9 * model.voltage))
-        self.set(table.shutdown, int(DEFAULT_SHUTDOWN))
-        self.temperature = 32.0
-        self.voltage = model.voltage
-
-    # --- the control table -------------------------------------------------------------------------------------------
-
-    def get(self, item: Item) -> int:
-        """A number of the control table."""
-        return int.from_bytes(self._registers[item.address : item.address + item.size], "little", signed=item.signed)
-
-    def set(self, item: Item, value: int) -> None:
-        """Write a number as the servo's own firmware does, whatever the driver may write."""
-        bits = 8 * item.size
-        self._registers[item.address : item.address + item.size] = (value & ((1 << bits) - 1)).to_bytes(
-            item.size, "little"
-        )
-
-    def read(self, address: int, size: int) -> bytes | None:
-        """Bytes of the table; None if there are none at that place."""
-        if size < 1 or address + size > len(self._registers):
-            return None
-        return bytes(self._registers[address : address + size])
-
-    def write(self, address: int, data: bytes) -> Error:
-        """Obey a write of the driver."""
-        table = self.model.table
-        writable = (table.torque_enable, table.goal_velocity, table.goal_position)
-        persistent = (
-            table.operating_mode,
-            table.temperature_limit,
-            table.shutdown,
-            table.min_voltage,
-            table.max_voltage,
-        )
-        for item in (*writable, *persistent):
-            if (item.address, item.size) == (address, len(data)):
-                break
-        else:
-            return Error.ACCESS
-        if item in persistent and self.torque:
-            return Error.ACCESS
-        value = int.from_bytes(data, "little", signed=item.signed)
-        if item == table.torque_enable:
-            if value not in (0, 1):
-                return Error.DATA_RANGE
-            if value and self.get(table.hardware_error) & self.get(table.shutdown):
-                return Error.ACCESS
-            if value and not self.torque:  # a servo that is switched on stays where it is
-                self.set(table.goal_position, self.get(table.present_position))
-                self.set(table.goal_velocity, 0)
-        if item == table.operating_mode and value not in tuple(OperatingMode):
-            return Error.DATA_RANGE
-        lowest, highest = self.model.goals
-        if item == table.goal_position and self.mode == OperatingMode.POSITION and not lowest <= value <= highest:
-            return Error.DATA_RANGE
-        self.set(item, value)
-        return Error.NONE
-
-    def reboot(self) -> None:
-        """Start anew: torque off, errors forgotten until they are found again."""
-        table = self.model.table
-        for item in (table.torque_enable, table.hardware_error, table.goal_velocity):
-            self.set(item, 0)
-
-    # --- the joint ---------------------------------------------------------------------------------------------------
-
-    @property
-    def torque(self) -> bool:
-        """Whether the motor is on."""
-        return bool(self.get(self.model.table.torque_enable))
-
-    @property
-    def mode(self) -> int:
-        """OperatingMode."""
-        return self.get(self.model.table.operating_mode)
-
-    @property
-    def goal_position(self) -> int:
-        """[steps]."""
-        return self.get(self.model.table.goal_position)
-
-    @property
-    def goal_velocity(self) -> float:
-        """[rad/s]."""
-        return self.get(self.model.table.goal_velocity) * self.model.velocity_unit
-
-    def feel(self, position: float, velocity: float, torque: float, now: float) -> None:
-        """Measure: steps from the encoder's own zero, [rad/s], [N·m], at ``now`` [s]; check temperature and voltage."""
-        model, table = self.model, self.model.table
-        self.set(table.realtime_tick, int(now * 1e3) % 32768)
-        self.set(table.present_position, round(position))
-        self.set(table.present_velocity, round(velocity / model.velocity_unit))
-        self.set(table.present_current, round(torque / model.torque_constant / model.current_unit))
-        self.set(table.present_voltage, round(10 * self.voltage))
-        self.set(table.present_temperature, min(255, round(self.temperature)))
-        wrong = HardwareError(0)
-        if self.temperature >= self.get(table.temperature_limit):
-            wrong |= HardwareError.OVERHEATING
-        if not self.get(table.min_voltage) <= 10 * self.voltage <= self.get(table.max_voltage):
-            wrong |= HardwareError.INPUT_VOLTAGE
-        if wrong:
-            self.set(table.hardware_error, self.get(table.hardware_error) | wrong)
-            if wrong & self.get(table.shutdown):
-                self.set(table.torque_enable, 0)
-
-    @property
-    def alert(self) -> int:
-        """Error.ALERT if something is wrong with the hardware."""
-        return int(Error.ALERT) if self.get(self.model.table.hardware_error) else 0
 
 
 @dataclass(frozen=True)
@@ -201,39 +54,18 @@ class DynamixelBus:
 
     def __init__(self, servos: Sequence[Servo]) -> None:
         self.servos = {servo.id: servo for servo in servos}
-        self._received = bytearray()
+        self._frames = FrameStream(HEADER, PREFIX, _size, _is_sound)
 
     def receive(self, data: bytes) -> list[Status]:
         """Take bytes in; returns the servos' answers in the order in which they come."""
-        return [status for frame in self._frames(data) for status in self._obey(frame)]
-
-    def _frames(self, data: bytes) -> Iterator[bytes]:
-        """Sound frames from the id on, unstuffed, without the CRC."""
-        received = self._received
-        received += data
-        while True:
-            start = received.find(HEADER)
-            if start < 0:
-                del received[: max(0, len(received) - len(HEADER) + 1)]
-                return
-            del received[:start]
-            if len(received) < 7:
-                return
-            length = int.from_bytes(received[5:7], "little")
-            if not 3 <= length <= MAX_LENGTH:
-                del received[0]
-                continue
-            end = 7 + length
-            if len(received) < end:
-                return
-            frame = bytes(received[:end])
-            if crc16(frame[:-2]) != int.from_bytes(frame[-2:], "little"):
-                del received[0]
-                continue
-            del received[:end]
-            yield frame[4:5] + unstuffed(frame[7:-2])
+        return [
+            status
+            for frame in self._frames.feed(data)
+            for status in self._obey(frame[4:5] + unstuffed(frame[PREFIX:-2]))
+        ]
 
     def _obey(self, frame: bytes) -> list[Status]:
+        """``frame``: from the id on, unstuffed, without length and CRC."""
         target, instruction, parameters = frame[0], frame[1], frame[2:]
         if instruction == Instruction.STATUS:  # servos hear each other
             return []
@@ -295,6 +127,15 @@ def stuffed(body: bytes) -> bytes:
 def unstuffed(body: bytes) -> bytes:
     """The reverse of ``stuffed``."""
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def _size(prefix: bytearray) -> int:
+    length = int.from_bytes(prefix[5:PREFIX], "little")
+    return PREFIX + length if 3 <= length <= MAX_LENGTH else 0
+
+
+def _is_sound(frame: bytes) -> bool:
+    return crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little")
 
 
 def crc16(data: bytes) -> int:

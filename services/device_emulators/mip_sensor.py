@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.messages import Proprioceptor
+from valor.devices.frame_stream import FrameStream
 from valor.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
@@ -90,7 +92,6 @@ class MipSensor:
 
     Attributes:
         attitude: what it feels now.
-        wrong_checksums: of commands; the sensor does not answer them.
     """
 
     def __init__(self, model: str, serial: str, firmware: str) -> None:
@@ -101,10 +102,9 @@ class MipSensor:
             *(text.encode("ascii").rjust(16) for text in (model, "6234-4220", serial, "I042Y", "5g,300d/s")),
         )
         self.attitude = Attitude()
-        self.wrong_checksums = 0
         self._streams = {Stream.IMU: _Stream(IMU_BASE_RATE), Stream.FILTER: _Stream(FILTER_BASE_RATE)}
         self._idle = False
-        self._received = bytearray()
+        self._frames = FrameStream(b"\x75\x65", 4, lambda header: header[3] + 6, _sound)
         self._now = 0.0
         self._started: float | None = None
 
@@ -112,25 +112,7 @@ class MipSensor:
 
     def receive(self, data: bytes) -> list[bytes]:
         """Take bytes of the driver; returns a reply packet for each command packet."""
-        self._received.extend(data)
-        replies = []
-        while (at := self._received.find(0x75)) >= 0:
-            del self._received[:at]
-            frame = self._received
-            if len(frame) >= 2 and frame[1] != 0x65:
-                del frame[0]
-                continue
-            if len(frame) < 4 or len(frame) < frame[3] + 6:
-                break
-            size = frame[3] + 6
-            if not _sound(frame[:size]):
-                self.wrong_checksums += 1
-                del frame[0]
-                continue
-            command = bytes(frame[:size])
-            del frame[:size]
-            replies.append(self._answer(command[2], command[4:-2]))
-        return replies
+        return [self._answer(frame[2], frame[4:-2]) for frame in self._frames.feed(data)]
 
     def _answer(self, descriptor_set: int, payload: bytes) -> bytes:
         fields: list[tuple[int, bytes]] = []
@@ -208,6 +190,13 @@ class MipSensor:
         return Result.OK, []
 
     # --- streams ------------------------------------------------------------------------------------------------------
+
+    def feel(self, measured: Proprioceptor, hot: bool) -> None:
+        """What the robot's IMU feels; it does not say how warm it is."""
+        del hot
+        self.attitude = Attitude.of_pelvis(
+            measured.imu_orientation, measured.imu_angular_velocity, measured.imu_linear_acceleration
+        )
 
     def is_due(self, now: float) -> bool:
         """Whether ``stream`` would give anything at ``now`` [s]."""

@@ -11,7 +11,6 @@ from msgspec import structs
 
 from valor.common.instance import Settings
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
@@ -26,7 +25,7 @@ class SimulatedRobot:
     """A plant whose joints are commanded device by device.
 
     A robot is switched on hanging from a gantry. Here the world stands still, in the nominal posture, until the drives
-    of all series-elastic actuators are on and hold it; then it is let go, once and for all.
+    that carry it are on and hold it; then it is let go, once and for all.
 
     Attributes:
         description: robot.yaml.
@@ -53,7 +52,7 @@ class SimulatedRobot:
         self._changed = False
         self._powered = np.zeros(n, dtype=bool)
         carrying = [
-            joint for device in tables.devices.values() if isinstance(device, SeaCanFd) for joint in device.joints
+            joint for name in tables.devices if tables.device_carries(name) for joint in tables.device_joints(name)
         ]
         self._carrying: Places = np.array([description.index[joint] for joint in carrying], dtype=np.intp)
         self._carries = np.zeros(n, dtype=bool)

@@ -14,7 +14,7 @@ from harness.places import ROBOTS
 from harness.waiting import PATIENCE, wait_until
 from valor.common.messages import FaultRequest, JointSetpoints, Proprioceptor
 from valor.common.topics import FAULT, JOINT_SETPOINTS, PROPRIOCEPTOR
-from valor.devices.table import Dynamixel
+from valor.devices.dynamixel import Dynamixel
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "thor")

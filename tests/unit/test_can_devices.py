@@ -16,7 +16,7 @@ from harness.places import ROBOTS
 from valor.common.messages import JointMode
 from valor.comms_manager.hardware.can_device import CanDevice
 from valor.comms_manager.hardware.device import DeviceError, Fault, JointCommands, JointMeasurement, WrenchMeasurement
-from valor.comms_manager.hardware.faults import DeviceWatch
+from valor.comms_manager.hardware.watch import DeviceWatch
 from valor.device_emulators.emulator import EmulatedFault, NoSuchFaultError
 from valor.robot.description import RobotDescription
 
@@ -60,7 +60,7 @@ class Loop:
             if device._failure and time.monotonic() > given_up:  # while the bus fails nothing is gathered
                 break
         self.watch.update(round(1e9 * self._now))
-        if self.holding and isinstance(measured := device.measured, JointMeasurement):
+        if self.holding and (measured := device.joint_state) is not None:
             zero = np.zeros(measured.position.size)
             mode = np.full(zero.size, JointMode.POSITION, dtype=np.uint8)
             device.send(JointCommands(1, mode, measured.position, zero, zero, zero, zero))
@@ -155,7 +155,7 @@ def test_a_unit_that_was_unplugged_is_used_again(loop: Loop) -> None:
     loop.told(Fault.SILENT)
     if loop.bench.device == LEGS:
         loop.holding = False
-        measured = loop.device.measured
+        measured = loop.device.joint_state
         assert isinstance(measured, JointMeasurement)
         away, zero = measured.position.copy(), np.zeros(measured.position.size)
         away[-1] += 0.5
@@ -173,10 +173,10 @@ def test_a_unit_that_was_unplugged_is_used_again(loop: Loop) -> None:
 def test_an_encoder_that_jumps_is_believed_no_more(loop: Loop) -> None:
     if loop.bench.device == SENSORS:
         return
-    measured = loop.device.measured
+    measured = loop.device.joint_state
     loop.inject(EmulatedFault.ENCODER_JUMP)
     assert "the encoder of waist_yaw jumped" in loop.told(Fault.ENCODER)
-    after = loop.device.measured
+    after = loop.device.joint_state
     assert isinstance(measured, JointMeasurement) and isinstance(after, JointMeasurement)
     assert abs(after.position[-1] - measured.position[-1]) < 0.1
     loop.bench.emulator.faults.clear()
@@ -213,7 +213,7 @@ def test_wrenches_are_those_of_the_plant(home: Path) -> None:
         driver.find()
         with bench.lock:
             felt = bench.robot.measured
-        measured = driver.measured
+        measured = driver.wrench
         assert isinstance(measured, WrenchMeasurement)
         for row, wrench in enumerate(
             (felt.left_foot_wrench, felt.right_foot_wrench, felt.left_hand_wrench, felt.right_hand_wrench)
@@ -265,8 +265,8 @@ def test_a_robot_whose_legs_are_on_may_be_anywhere(hanging: Bench) -> None:
         plant.data.qpos[int(plant.model.mj.joint("waist_yaw").qposadr[0])] += 0.4
         hanging.robot._measured = None
     with hanging.running() as driver:
-        assert isinstance(driver.measured, JointMeasurement)
-        assert abs(driver.measured.position[-1]) > 0.2
+        assert driver.joint_state is not None
+        assert abs(driver.joint_state.position[-1]) > 0.2
 
 
 def test_a_unit_that_does_not_answer_is_named_with_its_bus(hanging: Bench) -> None:

@@ -15,7 +15,8 @@ from valor.common.instance import Instance, Settings
 from valor.common.messages import DeviceStatus
 from valor.comms_manager.hardware.condition import level as _level
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
-from valor.comms_manager.hardware.faults import LOOKS_TO_SILENCE, REACTIONS, UNREAD_AFTER, DeviceWatch, Reaction
+from valor.comms_manager.hardware.faults import REACTIONS, Reaction
+from valor.comms_manager.hardware.watch import LOOKS_TO_SILENCE, UNREAD_AFTER, DeviceWatch
 from valor.motion_manager.safety.device_reactions import DEMANDS, DeviceReactions
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS

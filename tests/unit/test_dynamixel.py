@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from harness.waiting import wait_until
 from valor.comms_manager.hardware.dynamixel_port import Answer, DynamixelError, DynamixelPort, StatusReader, number_of
-from valor.device_emulators.dynamixel_bus import DynamixelBus, Servo, crc16, encode, stuffed, unstuffed
+from valor.device_emulators.dynamixel_bus import DynamixelBus, crc16, encode, stuffed, unstuffed
+from valor.device_emulators.dynamixel_servo import Servo
 from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
 from valor.device_emulators.serial_port import FaultyLine, SerialPort
 from valor.devices.dynamixel import MODELS, P_SERIES, X_SERIES, ControlTable, HardwareError, Item, OperatingMode

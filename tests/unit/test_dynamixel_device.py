@@ -51,7 +51,7 @@ def send(driver: Device, *position: float, mode: JointMode = JointMode.POSITION)
 
 
 def position(driver: Device, row: int) -> float:
-    measured = driver.measured
+    measured = driver.joint_state
     assert isinstance(measured, JointMeasurement)
     return float(measured.position[row])
 

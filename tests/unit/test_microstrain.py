@@ -50,7 +50,7 @@ def test_what_the_robot_feels_arrives(bench: Bench) -> None:
         felt = bench.robot.measured
     with bench.running() as driver:
         sound(driver)
-        measured = driver.measured
+        measured = driver.attitude
         assert isinstance(measured, ImuMeasurement)
         assert abs(measured.orientation @ tilt) == pytest.approx(1.0, abs=1e-6)
         np.testing.assert_allclose(measured.angular_velocity, felt.imu_angular_velocity, atol=1e-5)

@@ -60,8 +60,8 @@ class Bench:
                 self.far.send(can_frames.frame(identifier, protect(identifier, content)))
         self.driver._listen(0.0)
         self.driver._finish()
-        assert isinstance(self.driver.measured, JointMeasurement)
-        return self.driver.measured
+        assert isinstance(self.driver.joint_state, JointMeasurement)
+        return self.driver.joint_state
 
     def commands(self) -> dict[int, np.void]:
         """What the far end was told, by controller."""

@@ -11,7 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from msgspec import Meta
+
+from valor.common.table import Positive, Table, TableError
+from valor.devices.table import Device, require_distinct
 
 
 class Item(NamedTuple):
@@ -142,3 +147,40 @@ MODELS = {
     "PH42-020-S300-R": ServoModel(2000, P_SERIES, 607500, (-303750, 303750), 0.01 * _RPM, 1e-3, 3.4, 24.0),
 }
 """By the name that robot.yaml gives."""
+
+
+class DynamixelServo(Table, kw_only=True):
+    """A servo on a Dynamixel bus."""
+
+    id: Annotated[int, Meta(ge=0, le=252)]
+    joint: str
+    model: str  # one of ``MODELS``
+    firmware: Annotated[int, Meta(ge=0, le=0xFF)]
+    zero: int  # position at which the joint is at 0 [steps]
+    direction: Literal[1, -1] = 1
+    spin: float | None = None  # turns for ever at this speed, whatever is commanded; absent: obeys [rad/s]
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise TableError(("model",), f"expected one of {', '.join(MODELS)}, got {self.model!r}")
+
+
+class Dynamixel(Device, tag="dynamixel_2", kw_only=True):
+    """Servos that speak Dynamixel protocol 2.0 on one serial bus."""
+
+    baud_rate: Annotated[int, Meta(gt=0)]
+    rate: Positive = 100.0  # at which states are read and commands written [Hz]
+    servos: Annotated[list[DynamixelServo], Meta(min_length=1)]
+
+    def __post_init__(self) -> None:
+        require_distinct("servos", "id", [servo.id for servo in self.servos])
+
+    @property
+    def joints(self) -> list[str]:
+        """The servos' joints, in order."""
+        return [servo.joint for servo in self.servos]
+
+    @property
+    def units(self) -> list[str]:
+        """The servos, by their joints."""
+        return self.joints

@@ -20,6 +20,12 @@ from __future__ import annotations
 
 from enum import IntEnum
 from struct import Struct
+from typing import Annotated
+
+from msgspec import Meta
+
+from valor.common.table import Positive
+from valor.devices.table import Device
 
 SYNC = b"\x75\x65"
 HEADER_SIZE = 4
@@ -150,3 +156,18 @@ DEVICE_INFORMATION = Struct(">H16s16s16s16s16s")
 
 FORMAT_ENTRY = Struct(">BH")
 """Of a message format: descriptor, decimation of the base rate."""
+
+
+class MicroStrainMip(Device, tag="microstrain_mip"):
+    """An inertial measurement unit that speaks MIP on a serial port."""
+
+    model: str
+    serial: str
+    firmware: str
+    rate: Positive  # of its data packets [Hz]
+    baud_rate: Annotated[int, Meta(gt=0)] = 921600
+
+    @property
+    def joints(self) -> list[str]:
+        """None."""
+        return []

@@ -1,7 +1,9 @@
 """The table ``devices`` of robot.yaml: which devices the robot has, which units each has, and who they must be.
 
 Where their ports are is the instance's business (``ports.py``). A unit is what can be found, be asked who it is, and
-fail by itself: a motor controller, a servo, a sensor, a limb.
+fail by itself: a motor controller, a servo, a sensor, a limb. Tables of kinds on CAN stand here, as everybody who reads
+robot.yaml would have to load ``python-can`` with their frames; the others beside the numbers of their protocols.
+``kinds.py`` has them all.
 """
 
 from __future__ import annotations
@@ -12,19 +14,38 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from valor.common.table import NonNegative, Positive, Table, TableError, require_order
-from valor.devices.dynamixel import MODELS
 
 CanId = Annotated[int, Meta(ge=1, le=63)]
 WrenchPlace = Literal["left_foot", "right_foot", "left_hand", "right_hand"]
 
 
 class Device(Table, tag_field="kind"):
-    """A device; its ``kind`` says which of the tables below it has."""
+    """A device; its ``kind`` says which table it has, with what it has to say of joints, wrenches and units."""
 
     @property
     def kind(self) -> str:
         """As in the file."""
         return str(self.__struct_config__.tag)
+
+    @property
+    def units(self) -> list[str]:
+        """What its units are called; none: it is one itself."""
+        return []
+
+    @property
+    def groups(self) -> list[str]:
+        """Of robot.yaml, whose joints it moves."""
+        return []
+
+    @property
+    def joints(self) -> list[str]:
+        """That it moves besides, in its units' order."""
+        return []
+
+    @property
+    def places(self) -> list[WrenchPlace]:
+        """Of Proprioceptor's wrenches, those that it gives, in its units' order."""
+        return []
 
 
 class MotorController(Table):
@@ -43,12 +64,17 @@ class SeaCanFd(Device, tag="sea_can_fd"):
     controllers: Annotated[list[MotorController], Meta(min_length=1)]
 
     def __post_init__(self) -> None:
-        _require_distinct("controllers", "id", [controller.id for controller in self.controllers])
+        require_distinct("controllers", "id", [controller.id for controller in self.controllers])
 
     @property
     def joints(self) -> list[str]:
         """All axes' joints, controller after controller."""
         return [joint for controller in self.controllers for joint in controller.axes]
+
+    @property
+    def units(self) -> list[str]:
+        """The controllers' numbers."""
+        return [str(controller.id) for controller in self.controllers]
 
 
 class WrenchSensor(Table):
@@ -67,60 +93,18 @@ class FtCan(Device, tag="ft_can"):
     sensors: Annotated[list[WrenchSensor], Meta(min_length=1)]
 
     def __post_init__(self) -> None:
-        _require_distinct("sensors", "id", [sensor.id for sensor in self.sensors])
-        _require_distinct("sensors", "at", [sensor.at for sensor in self.sensors])
+        require_distinct("sensors", "id", [sensor.id for sensor in self.sensors])
+        require_distinct("sensors", "at", [sensor.at for sensor in self.sensors])
 
     @property
-    def joints(self) -> list[str]:
-        """None."""
-        return []
-
-
-class MicroStrainMip(Device, tag="microstrain_mip"):
-    """An inertial measurement unit that speaks MIP on a serial port."""
-
-    model: str
-    serial: str
-    firmware: str
-    rate: Positive  # of its data packets [Hz]
-    baud_rate: Annotated[int, Meta(gt=0)] = 921600
+    def places(self) -> list[WrenchPlace]:
+        """The sensors', in order."""
+        return [sensor.at for sensor in self.sensors]
 
     @property
-    def joints(self) -> list[str]:
-        """None."""
-        return []
-
-
-class DynamixelServo(Table, kw_only=True):
-    """A servo on a Dynamixel bus."""
-
-    id: Annotated[int, Meta(ge=0, le=252)]
-    joint: str
-    model: str  # one of ``valor.devices.dynamixel.MODELS``
-    firmware: Annotated[int, Meta(ge=0, le=0xFF)]
-    zero: int  # position at which the joint is at 0 [steps]
-    direction: Literal[1, -1] = 1
-    spin: float | None = None  # turns for ever at this speed, whatever is commanded; absent: obeys [rad/s]
-
-    def __post_init__(self) -> None:
-        if self.model not in MODELS:
-            raise TableError(("model",), f"expected one of {', '.join(MODELS)}, got {self.model!r}")
-
-
-class Dynamixel(Device, tag="dynamixel_2", kw_only=True):
-    """Servos that speak Dynamixel protocol 2.0 on one serial bus."""
-
-    baud_rate: Annotated[int, Meta(gt=0)]
-    rate: Positive = 100.0  # at which states are read and commands written [Hz]
-    servos: Annotated[list[DynamixelServo], Meta(min_length=1)]
-
-    def __post_init__(self) -> None:
-        _require_distinct("servos", "id", [servo.id for servo in self.servos])
-
-    @property
-    def joints(self) -> list[str]:
-        """The servos' joints, in order."""
-        return [servo.joint for servo in self.servos]
+    def units(self) -> list[str]:
+        """The sensors' numbers."""
+        return [str(sensor.id) for sensor in self.sensors]
 
 
 class HdtLimb(Table):
@@ -139,8 +123,15 @@ class HdtBifrost(Device, tag="hdt_bifrost", kw_only=True):
     bus: Annotated[int, Meta(ge=0)] = 2  # CAN, between the driver and the modules
     limbs: Annotated[list[HdtLimb], Meta(min_length=1)]
 
+    @property
+    def groups(self) -> list[str]:
+        """The limbs'."""
+        return [limb.group for limb in self.limbs]
 
-DeviceTable = SeaCanFd | FtCan | MicroStrainMip | Dynamixel | HdtBifrost
+    @property
+    def units(self) -> list[str]:
+        """The limbs, by their groups."""
+        return self.groups
 
 
 class Calibration(Table):
@@ -164,7 +155,7 @@ class SupplyLimits(Table):
         require_order(self, "flat", "low")
 
 
-def _require_distinct(units: str, key: str, values: Sequence[object]) -> None:
+def require_distinct(units: str, key: str, values: Sequence[object]) -> None:
     """Refuse a value of a key that one of the units before has, too."""
     for place, value in enumerate(values):
         if value in values[:place]:

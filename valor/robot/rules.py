@@ -115,9 +115,9 @@ def every_joint_has_one_device(tables: RobotTables) -> Iterator[TableError]:
     """No joint is moved by two devices, and devices move joints that there are."""
     owner: dict[str, str] = {}
     for name in tables.devices:
-        for limb in getattr(tables.devices[name], "limbs", ()):
-            if limb.group not in tables.groups:
-                yield TableError(("devices", name), f"got the group {limb.group!r}; expected one of groups")
+        for group in tables.devices[name].groups:
+            if group not in tables.groups:
+                yield TableError(("devices", name), f"got the group {group!r}; expected one of groups")
                 return
         for joint in tables.device_joints(name):
             if joint not in tables.joints:

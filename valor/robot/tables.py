@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from valor.common.table import NonNegative, Positive, Table, TableError, require_order
-from valor.devices.table import Calibration, DeviceTable, HdtBifrost, SupplyLimits
+from valor.devices.kinds import DeviceTable
+from valor.devices.table import Calibration, SupplyLimits
 from valor.robot.motion_tables import (
     Disturbance,
     Estimator,
@@ -189,6 +190,8 @@ class RobotTables(Table, kw_only=True):
     def device_joints(self, name: str) -> list[str]:
         """The joints that a device moves, in its units' order."""
         device = self.devices[name]
-        if not isinstance(device, HdtBifrost):
-            return device.joints
-        return [joint for limb in device.limbs for joint in self.groups[limb.group]]
+        return [*device.joints, *(joint for group in device.groups for joint in self.groups[group])]
+
+    def device_carries(self, name: str) -> bool:
+        """Whether a device carries the robot: it moves joints that are driven by force."""
+        return any(self.joints[joint].control == "force" for joint in self.device_joints(name))

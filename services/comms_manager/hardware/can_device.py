@@ -51,7 +51,7 @@ class CanDevice(Device):
     """Units that sample on SYNC.
 
     Attributes:
-        gathered: set when the states asked for last have been handed over.
+        gathered: is set when the states asked for last have been handed over.
         units: by number.
         elapsed: by the units' own clocks, since ``find``, as far as they answered [ns].
     """
@@ -84,6 +84,10 @@ class CanDevice(Device):
         self._states_wanted = True
         self.wake()
 
+    def await_states(self) -> None:
+        """Wait until that is in, or the time for it is up, twice over."""
+        self.gathered.wait(2.0 * GATHERING)
+
     # --- start and end --------------------------------------------------------------------------------------------
 
     def find(self) -> None:
@@ -92,7 +96,7 @@ class CanDevice(Device):
         for unit in self.units.values():
             self._check_identity(unit, self._ask(unit, Code.IDENTIFY, f"expected {_described(unit.identity)}"))
         deadline = time.monotonic() + TRIES * ANSWER_TIME
-        while self.measured is None or any(not record.states for record in self.records):
+        while not all(record.states for record in self.records):
             if time.monotonic() > deadline:
                 mute = next(unit for unit in self.units.values() if not unit.record.states)
                 raise DeviceError(f"{mute.name}: it says who it is, but no state came from it after SYNC")
@@ -268,7 +272,7 @@ class CanDevice(Device):
 
     @abstractmethod
     def _hand_over(self) -> None:
-        """Replace ``measured`` by what is known now."""
+        """Replace what it provides by what is known now."""
 
     def _send_command(self) -> None:
         """Send the newest command, if there is a new one."""

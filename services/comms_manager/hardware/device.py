@@ -5,7 +5,7 @@ thing, replaced, never changed. Python replaces a reference at once, so neither 
 
 ::
 
-    device thread ── measured ──► main loop      newest states, each with the time at which it came
+    device thread ── states ────► main loop      the newest of what it provides, with the time at which each came
     device thread ◄── command ─── main loop      newest slice of Motor; ``wake`` tells the thread
     device thread ── faults ────► main loop      what is wrong with which unit, besides silence
 """
@@ -16,6 +16,7 @@ import contextlib
 import math
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from threading import Event
@@ -26,9 +27,11 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
+from valor.devices.kinds import KINDS, Quantity
 from valor.robot.description import RobotDescription
 
 IntVector = npt.NDArray[np.int64]
+FEET = ("left_foot", "right_foot")  # where the forces must be known
 RATE_WINDOW = 1.0  # over which rates and latencies are taken [s]
 
 
@@ -155,17 +158,22 @@ class Device(ABC):
 
     Attributes:
         name: as in robot.yaml.
+        provides: what it gives, by its kind.
         joints: (m,) places of its joints in every joint vector; none for sensors.
+        places: of Proprioceptor's wrenches, those that it gives, in order.
         records: one a unit, in robot.yaml's order.
-        measured: newest states; None before the first. Replaced, never changed.
+        joint_state, attitude, wrench: newest of what it provides; None before the first, and of what it does not.
+            Replaced, never changed.
         ailments: what is wrong now, besides silence. Replaced, never changed; the same object while nothing changes.
         rate: at which states of each unit should come [Hz].
         silent_after: without a state for so long, a unit is silent [s].
         looks: how often its thread has had everything that its port had brought. Silence is a unit's fault only as far
             as somebody listened.
+        elapsed: by a clock of its own that can be the robot's, since ``find`` [ns].
     """
 
     silent_after: float = 0.1
+    elapsed = 0
 
     def __init__(self, name: str, context: DeviceContext) -> None:
         robot = context.robot
@@ -174,8 +182,13 @@ class Device(ABC):
         self.joints: npt.NDArray[np.intp] = np.array(
             [robot.index[joint] for joint in robot.tables.device_joints(name)], dtype=np.intp
         )
+        table = robot.tables.devices[name]
+        self.provides = KINDS[table.kind].provides
+        self.places: tuple[str, ...] = tuple(table.places)
         self.records: tuple[UnitRecord, ...] = ()
-        self.measured: JointMeasurement | ImuMeasurement | WrenchMeasurement | None = None
+        self.joint_state: JointMeasurement | None = None
+        self.attitude: ImuMeasurement | None = None
+        self.wrench: WrenchMeasurement | None = None
         self.ailments: tuple[Ailment, ...] = ()
         self.command: JointCommands | None = None
         self.looks = 0
@@ -199,12 +212,19 @@ class Device(ABC):
         """
 
     def part(self, unit: str) -> Part:
-        """What the robot needs a unit for: by the joints that its device moves; without joints, for its attitude."""
-        joints = self.context.robot.tables.joints
-        if not len(self.joints):
-            return Part.IMU
-        controls = {joints[self.context.robot.joints[place]].control for place in self.joints}
-        return Part.LEGS if "force" in controls else Part.UPPER_BODY
+        """What the robot needs a unit for: the joints that its device moves, or what it feels."""
+        if Quantity.JOINT_STATE in self.provides:
+            return Part.LEGS if self.context.robot.tables.device_carries(self.name) else Part.UPPER_BODY
+        if Quantity.WRENCH in self.provides:
+            place = self.places[[record.unit for record in self.records].index(unit)]
+            return Part.FOOT if place in FEET else Part.HAND
+        return Part.IMU
+
+    def request_states(self) -> None:  # noqa: B027 (most keep a pace of their own)
+        """Have all units sample now (main loop)."""
+
+    def await_states(self) -> None:  # noqa: B027
+        """Wait, within bounds, until what was asked for last is there (main loop)."""
 
     @abstractmethod
     def run(self, stopping: Event) -> None:
@@ -232,6 +252,11 @@ class Device(ABC):
         """Replace what is wrong, if it is something else than before."""
         if tuple(ailments) != self.ailments:
             self.ailments = tuple(ailments)
+
+
+def providers(devices: Sequence[Device], quantity: Quantity) -> list[Device]:
+    """Those that provide something, in robot.yaml's order."""
+    return [device for device in devices if quantity in device.provides]
 
 
 @dataclass

@@ -15,7 +15,7 @@ import numpy as np
 import serial
 
 from valor.common.messages import JointMode
-from valor.comms_manager.hardware.condition import require_identity
+from valor.comms_manager.hardware import dynamixel_commissioning as commissioning
 from valor.comms_manager.hardware.device import (
     Ailment,
     Device,
@@ -26,9 +26,8 @@ from valor.comms_manager.hardware.device import (
 )
 from valor.comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, StatusReader
 from valor.comms_manager.hardware.dynamixel_servo import Servo
-from valor.devices.dynamixel import MODELS, ControlTable, HardwareError, Item, OperatingMode
+from valor.devices.dynamixel import ControlTable, Dynamixel, Item
 from valor.devices.ports import serial_port
-from valor.devices.table import Dynamixel
 
 ABSENT_AFTER = 5  # cycles without an answer, after which nobody waits for a servo any more
 LONGEST_READ = 0.02  # of all servos, whoever is missing; the time-out is 7 ms for each kind [s]
@@ -64,9 +63,9 @@ class DynamixelServos(Device):
         assert self._port is not None
         for servo in self._servos:
             try:
-                self._identify(servo)
-                self._prepare(servo)
-                self._check_place(servo)
+                commissioning.identify(self._port, servo)
+                commissioning.prepare(self._port, servo)
+                commissioning.check_place(self._port, servo, self.context.robot.tables)
             except DynamixelError as error:
                 raise DeviceError(f"{servo.name}: {error}; expected a {servo.table.model}") from None
         self._group()
@@ -79,9 +78,10 @@ class DynamixelServos(Device):
 
     def enable(self) -> None:
         """Switch the motors on, servo after servo, where they are; those that spin begin to."""
+        assert self._port is not None
         for servo in self._servos:
             try:
-                self._switch_on(servo)
+                commissioning.switch_on(self._port, servo)
             except DynamixelError as error:
                 raise DeviceError(f"{servo.name}: {error}; expected its motor to be on") from None
         self._enabled = True
@@ -115,49 +115,6 @@ class DynamixelServos(Device):
         self._readers = {
             registers: self._port.reader(registers.feedback, servos) for registers, servos in by_table.items()
         }
-
-    def _identify(self, servo: Servo) -> None:
-        assert self._port is not None
-        number, firmware = self._port.ping(servo.table.id)
-        if number != servo.model.number:
-            known = next((name for name, model in MODELS.items() if model.number == number), f"number {number}")
-            require_identity(servo.name, {"model": known}, {"model": servo.table.model})
-        require_identity(servo.name, {"firmware": firmware}, {"firmware": servo.table.firmware})
-
-    def _prepare(self, servo: Servo) -> None:
-        """See that nothing is wrong with a servo, and that it is in the mode that it is used in."""
-        assert self._port is not None
-        number, registers = servo.table.id, servo.registers
-        if wrong := HardwareError(self._port.read(number, registers.hardware_error)):
-            raise DeviceError(f"{servo.name}: {_named(wrong)}; expected no hardware error")
-        mode = OperatingMode.VELOCITY if servo.spins else OperatingMode.POSITION
-        servo.torque = bool(self._port.read(number, registers.torque_enable))
-        if self._port.read(number, registers.operating_mode) != mode:
-            self._port.write(number, registers.torque_enable, 0)
-            self._port.write(number, registers.operating_mode, mode)
-            servo.torque = False
-
-    def _check_place(self, servo: Servo) -> None:
-        """A servo that has not been switched on since it got power is in the calibration pose."""
-        assert self._port is not None
-        calibration, joint = self.context.robot.tables.calibration, servo.table.joint
-        position = servo.angle(self._port.read(servo.table.id, servo.registers.present_position))
-        pose = self.context.robot.tables.nominal_posture | calibration.pose
-        expected = pose.get(joint, 0.0)
-        if not servo.spins and not servo.torque and abs(position - expected) > calibration.tolerance:
-            raise DeviceError(
-                f"{servo.name}: at {position:.3f} rad; expected {expected:.3f} ± {calibration.tolerance:g} in the "
-                f"calibration pose (robot.yaml: zero {servo.table.zero})"
-            )
-
-    def _switch_on(self, servo: Servo) -> None:
-        assert self._port is not None
-        number, registers = servo.table.id, servo.registers
-        self._port.write(number, registers.torque_enable, 1)
-        if servo.table.spin is not None:
-            speed = round(servo.table.direction * servo.table.spin / servo.model.velocity_unit)
-            self._port.write(number, registers.goal_velocity, speed)
-        servo.switched_on()
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 
@@ -206,7 +163,7 @@ class DynamixelServos(Device):
                     servo.record.errors += 1
             self._blame(reader)
         servos = self._servos
-        self.measured = JointMeasurement(
+        self.joint_state = JointMeasurement(
             np.array([servo.stamp for servo in servos]),
             np.array([servo.position for servo in servos]),
             np.array([servo.velocity for servo in servos]),
@@ -255,45 +212,31 @@ class DynamixelServos(Device):
 
     def _tend(self) -> None:
         """Look for servos that are gone; switch on again what went off by itself, once it is well and wanted."""
+        assert self._port is not None
         for servo in self._servos:
             try:
                 if not servo.present:
                     self._welcome(servo)
                 if servo.alert:  # what is wrong may have switched it off
-                    servo.torque = self._is_on(servo)
+                    servo.torque = commissioning.is_on(self._port, servo)
                 if self._is_wanted(servo) and not servo.torque and not servo.jumped:
-                    self._revive(servo)
+                    commissioning.revive(self._port, servo)
             except (DynamixelError, DeviceError) as error:
                 _log.debug("%s: %s", servo.name, error)  # it is missed by its states
 
     def _welcome(self, servo: Servo) -> None:
         """Take a servo back that had been gone, if it is the same one."""
         assert self._port is not None
-        self._identify(servo)
-        servo.torque = self._is_on(servo)
+        commissioning.identify(self._port, servo)
+        servo.torque = commissioning.is_on(self._port, servo)
         servo.present, servo.missed = True, 0
         servo.forget()
         self._group()
-
-    def _is_on(self, servo: Servo) -> bool:
-        assert self._port is not None
-        return bool(self._port.read(servo.table.id, servo.registers.torque_enable))
 
     def _is_wanted(self, servo: Servo) -> bool:
         """Whether its motor shall be on."""
         command = self.command
         return self._enabled and command is not None and command.mode[servo.row] != JointMode.OFF
-
-    def _revive(self, servo: Servo) -> None:
-        """Switch a servo on; one that had been too hot is started anew when it has cooled down, and has its voltage."""
-        assert self._port is not None
-        if not servo.is_fit:
-            return
-        if self._port.read(servo.table.id, servo.registers.hardware_error):
-            self._port.reboot(servo.table.id)
-            servo.forget()
-        self._prepare(servo)
-        self._switch_on(servo)
 
     def _lose_port(self) -> None:
         if self._port is not None:
@@ -310,7 +253,3 @@ class DynamixelServos(Device):
             servo.present = False
         self._readers = {}
         self._gone = ()
-
-
-def _named(errors: HardwareError) -> str:
-    return " and ".join(str(each.name).lower().replace("_", " ") for each in errors) + " error"

@@ -9,8 +9,7 @@ from valor.comms_manager.hardware.device import Ailment, Fault, UnitRecord
 from valor.comms_manager.hardware.device_clock import DeviceClock
 from valor.comms_manager.hardware.dynamixel_port import Answer, number_of
 from valor.comms_manager.hardware.encoder_watch import EncoderWatch
-from valor.devices.dynamixel import MODELS, ControlTable, Item
-from valor.devices.table import DynamixelServo
+from valor.devices.dynamixel import MODELS, ControlTable, DynamixelServo, Item
 from valor.robot.description import RobotDescription
 
 LATEST = 0.02  # an answer that was held up longer is not used [s]

@@ -1,27 +1,13 @@
-"""What the robot does about a device's fault: a table, and who watches the devices."""
+"""What the robot does about a device's fault: a table. Who watches the devices is ``watch.py``."""
 
 from __future__ import annotations
 
-import logging
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from enum import IntEnum
 
-import numpy as np
+from valor.comms_manager.hardware.device import Fault, Part
 
-from valor.common.messages import DeviceStatus
-from valor.comms_manager.hardware.device import RATE_WINDOW, Device, Fault, Part, UnitRates
-
-STATUS_PERIOD = 1.0  # between reports while nothing changes [s]
-HALF_RATE = 0.5  # of the rate that states should have: less is slow
-LOOKS_TO_SILENCE = 3  # at a port that brought nothing, before it is its unit that is silent
-# Of robot time without a look at a port, after which the robot is to be made safe [s]. Blind for 0.2 s it walks on, for
-# 0.3 s it fell in two runs of three; standing, it bears 0.3 s (benchmarks/blind_imu.py).
-UNREAD_AFTER = 0.2
 LEGS_TO_LIMP = 2  # leg units without motors, from which on the robot cannot carry itself
-_UNREAD = round(1e9 * UNREAD_AFTER)
-_log = logging.getLogger("comms_manager")
 
 
 class Reaction(IntEnum):
@@ -31,6 +17,19 @@ class Reaction(IntEnum):
     SOFT_STOP = 1  # come to rest, keep balance, obey no commands from outside
     HOLD = 2  # every joint stays, on its own servo: the balance cannot be known any more
     LIMP = 3  # no torque: nothing holds the robot, and what would hold parts of it does harm
+
+    @property
+    def spoken(self) -> str:
+        """For people."""
+        return _SPOKEN[self]
+
+
+_SPOKEN = {
+    Reaction.KEEP_BALANCE: "the robot goes on",
+    Reaction.SOFT_STOP: "the robot comes to rest",
+    Reaction.HOLD: "the robot holds its joints",
+    Reaction.LIMP: "the robot goes limp",
+}
 
 
 _BALANCE, _STOP, _HOLD = Reaction.KEEP_BALANCE, Reaction.SOFT_STOP, Reaction.HOLD
@@ -57,193 +56,5 @@ REACTIONS: Mapping[Fault, Mapping[Part, Reaction]] = {
     fault: dict(zip((Part.LEGS, Part.UPPER_BODY, Part.IMU, Part.FOOT, Part.HAND), row, strict=True))
     for fault, row in _TABLE.items()
 }
-"""Besides it: two leg units or more without motors, and the robot goes limp."""
-
-_STATES = (Fault.UNPLUGGED, Fault.SILENT, Fault.UNREAD, Fault.OVERDUE, Fault.DISABLED)
-"""Faults that are words of ``DeviceStatus.states``, the worst first; all others are ``faulty``."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trouble:
-    """A fault, and what the robot does about it."""
-
-    unit: str  # device/unit
-    part: Part
-    fault: Fault
-    detail: str
-    reaction: Reaction
-
-
-class _Unit:
-    """What the watch keeps of one unit."""
-
-    def __init__(self, device: Device, row: int) -> None:
-        self.device = device
-        self.record = device.records[row]
-        # A device of one unit goes by its own name.
-        self.name = f"{device.name}/{self.record.unit}" if self.record.unit != device.name else device.name
-        self.part = device.part(self.record.unit)
-        self.rates = UnitRates(self.record)
-        self.silent_after = round(1e9 * device.silent_after)
-        self.silent = self.slow = False
-        self.unread: Fault | None = None  # or ``OVERDUE``
-        self._states = self._looks = 0
-        self._looks_in_vain = 0  # since the newest state
-        # Robot time at which its port was seen to have been looked at, and its newest state was there [ns].
-        self._looked = self._heard = -1
-
-    @property
-    def not_read(self) -> str:
-        """For people."""
-        seconds = UNREAD_AFTER if self.unread is Fault.UNREAD else 1e-9 * self.silent_after
-        return f"the computer has not read it for {seconds:g} s; the unit itself may be well"
-
-    def look(self, now: int) -> bool:
-        """See at robot time ``now`` [ns] whether it is silent, or nobody listens; returns whether that has changed.
-
-        It is silent as long as somebody listened in vain: a thread that does not get its turn, or a kernel that does
-        not pass on what it has, is the computer's fault. What was not listened to counts for nothing, in either way.
-        """
-        # In this order: a state that comes in between is one of the next look.
-        looks, states = self.device.looks, self.record.states
-        if self._heard < 0:
-            self._looked = self._heard = now
-        if looks != self._looks:
-            self._looks_in_vain += looks - self._looks
-            self._looks, self._looked = looks, now
-        if states != self._states:
-            self._states, self._heard, self._looks_in_vain = states, now, 0
-            self._looked = now
-        silent = self._looked - self._heard > self.silent_after and self._looks_in_vain >= LOOKS_TO_SILENCE
-        away = now - self._looked
-        unread = Fault.UNREAD if away > _UNREAD else Fault.OVERDUE if away > self.silent_after else None
-        changed = silent is not self.silent or unread is not self.unread
-        self.silent, self.unread = silent, unread
-        return changed
-
-
-class DeviceWatch:
-    """Watches all devices from the main loop.
-
-    Attributes:
-        troubles: what is wrong now.
-        reaction: the gravest among them.
-    """
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._units = [_Unit(device, row) for device in devices for row in range(len(device.records))]
-        self._devices = devices
-        self._seen: tuple[object, ...] = ()
-        self._silent: frozenset[str] = frozenset()
-        self._rates_due = self._due = 0.0
-        self.troubles: tuple[Trouble, ...] = ()
-        self.reaction = Reaction.KEEP_BALANCE
-
-    def update(self, now: int) -> bool:
-        """Look at all devices at robot time ``now`` [ns]; returns whether a report is due."""
-        changed = False
-        for unit in self._units:
-            changed |= unit.look(now)
-        seconds = 1e-9 * now
-        if seconds >= self._rates_due:
-            self._rates_due = seconds + RATE_WINDOW
-            changed |= self._look_at_rates(seconds)
-        ailments = tuple(device.ailments for device in self._devices)
-        if any(a is not b for a, b in zip(ailments, self._seen, strict=False)) or not self._seen:
-            self._seen, changed = ailments, True
-        if changed:
-            self._judge()
-        if changed or seconds >= self._due:
-            self._due = seconds + STATUS_PERIOD
-            return True
-        return False
-
-    def _look_at_rates(self, now: float) -> bool:
-        changed = False
-        for unit in self._units:
-            unit.rates.update(now)
-            slow = not unit.silent and unit.rates.rate < HALF_RATE * unit.device.rate
-            if slow is not unit.slow:
-                unit.slow, changed = slow, True
-        return changed
-
-    def _judge(self) -> None:
-        troubles = []
-        for unit in self._units:
-            if unit.silent:
-                text = f"no sound state for {1e-9 * unit.silent_after:g} s"
-                troubles.append(self._trouble(unit, Fault.SILENT, text))
-            elif unit.unread is not None:
-                troubles.append(self._trouble(unit, unit.unread, unit.not_read))
-            elif unit.slow:
-                text = f"{unit.rates.rate:.0f} states a second; expected {unit.device.rate:g}"
-                troubles.append(self._trouble(unit, Fault.SLOW, text))
-            troubles += [
-                self._trouble(unit, ailment.fault, ailment.detail)
-                for ailment in unit.device.ailments
-                if ailment.unit == unit.record.unit
-            ]
-        before, self.troubles = self.troubles, tuple(troubles)
-        powerless = {each.unit for each in troubles if each.part is Part.LEGS and each.fault is Fault.DISABLED}
-        reaction = max((trouble.reaction for trouble in troubles), default=Reaction.KEEP_BALANCE)
-        if len(powerless) >= LEGS_TO_LIMP:
-            reaction = Reaction.LIMP
-            if self.reaction is not reaction:
-                _log.warning("%s: without motors: %s", ", ".join(sorted(powerless)), _spoken(reaction))
-        self.reaction = reaction
-        known = {(trouble.unit, trouble.fault) for trouble in before}
-        for trouble in troubles:
-            if (trouble.unit, trouble.fault) not in known:
-                _log.warning("%s: %s: %s", trouble.unit, trouble.detail, _spoken(trouble.reaction))
-        left = {(trouble.unit, trouble.fault) for trouble in troubles}
-        for trouble in before:
-            if (trouble.unit, trouble.fault) not in left:
-                _log.info("%s: no longer %s", trouble.unit, trouble.fault.replace("_", " "))
-
-    @staticmethod
-    def _trouble(unit: _Unit, fault: Fault, detail: str) -> Trouble:
-        return Trouble(unit.name, unit.part, fault, detail, REACTIONS[fault][unit.part])
-
-    @property
-    def reason(self) -> str:
-        """The gravest trouble in one line, the device named; empty: none."""
-        gravest = max(self.troubles, key=lambda trouble: trouble.reaction, default=None)
-        return "" if gravest is None else f"{gravest.unit}: {gravest.detail}"
-
-    def report(self, robot_time: int) -> DeviceStatus:
-        """How all units fare."""
-        now = time.monotonic()
-        faults: dict[str, list[Trouble]] = {}
-        for trouble in self.troubles:
-            faults.setdefault(trouble.unit, []).append(trouble)
-        units = self._units
-        return DeviceStatus(
-            time=robot_time,
-            units=[unit.name for unit in units],
-            states=[_state(faults.get(unit.name, [])) for unit in units],
-            details=["; ".join(trouble.detail for trouble in faults.get(unit.name, [])) for unit in units],
-            rate=np.array([unit.rates.rate for unit in units]),
-            latency=np.array([unit.rates.latency for unit in units]),
-            age=np.array([unit.rates.age(now) for unit in units]),
-            temperature=np.array([unit.record.temperature for unit in units]),
-            voltage=np.array([unit.record.voltage for unit in units]),
-            errors=np.array([float(unit.record.errors) for unit in units]),
-            reaction=self.reaction.name.lower(),
-            reason=self.reason,
-        )
-
-
-def _state(troubles: Sequence[Trouble]) -> str:
-    for fault in _STATES:
-        if any(trouble.fault is fault for trouble in troubles):
-            return str(fault)
-    return "faulty" if troubles else "ok"
-
-
-def _spoken(reaction: Reaction) -> str:
-    return {
-        Reaction.KEEP_BALANCE: "the robot goes on",
-        Reaction.SOFT_STOP: "the robot comes to rest",
-        Reaction.HOLD: "the robot holds its joints",
-        Reaction.LIMP: "the robot goes limp",
-    }[reaction]
+"""Besides it: two leg units or more without motors, and the robot goes limp; what ails an IMU while another one is
+well harms nobody."""

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
-from valor.comms_manager.hardware.device import DeviceContext, IntVector, Part, WrenchMeasurement
+from valor.comms_manager.hardware.device import DeviceContext, IntVector, WrenchMeasurement
 from valor.devices import can_frames
 from valor.devices.can_frames import Identity
 from valor.devices.table import FtCan
@@ -17,11 +17,7 @@ MOST = 20_000.0  # force [N] and torque [N·m]: more is nonsense
 
 
 class ForceTorque(CanDevice):
-    """The sensors on one bus.
-
-    Attributes:
-        places: which of Proprioceptor's wrenches each gives, in order.
-    """
+    """The sensors on one bus."""
 
     def __init__(self, name: str, context: DeviceContext) -> None:
         table = context.robot.tables.devices[name]
@@ -31,14 +27,9 @@ class ForceTorque(CanDevice):
             each.id: CanUnit(each.id, Identity(each.serial, each.firmware), name, supply) for each in table.sensors
         }
         super().__init__(name, context, table.bus, units, can_frames.SENSOR_STATE_LENGTH)
-        self.places = tuple(each.at for each in table.sensors)
         self._row = {number: row for row, number in enumerate(units)}
         self._stamp: IntVector = np.zeros(len(units), dtype=np.int64)
         self._wrench = np.zeros((len(units), 6))
-
-    def part(self, unit: str) -> Part:
-        """Feet or hands."""
-        return Part.FOOT if self.places[self._row[int(unit)]].endswith("foot") else Part.HAND
 
     def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
         _, _, temperature, *wrench = can_frames.SENSOR_STATE.unpack_from(data)
@@ -52,4 +43,4 @@ class ForceTorque(CanDevice):
         return True
 
     def _hand_over(self) -> None:
-        self.measured = WrenchMeasurement(self._stamp.copy(), self._wrench.copy())
+        self.wrench = WrenchMeasurement(self._stamp.copy(), self._wrench.copy())

@@ -168,7 +168,7 @@ class Hdt(Device):
         self.looks += 1
 
     def _hand_over(self) -> None:
-        self.measured = JointMeasurement(
+        self.joint_state = JointMeasurement(
             self._stamp.copy(), self._position.copy(), self._velocity.copy(), self._effort.copy()
         )
 

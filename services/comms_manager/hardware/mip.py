@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
+from valor.devices.frame_stream import FrameStream
 from valor.devices.mip import CHECKSUM_SIZE, HEADER_SIZE, MAX_PAYLOAD, SYNC
 
 Field = tuple[int, bytes]
@@ -41,54 +42,46 @@ def encode(descriptor_set: int, fields: Sequence[Field]) -> bytes:
 
 
 class PacketStream:
-    """Finds the packets in a stream of bytes, and its way back into step after garbage.
-
-    A candidate whose checksum is wrong costs its first byte alone: a sound packet may have begun inside it.
+    """Finds the packets in a stream of bytes.
 
     Attributes:
-        skipped: bytes that were part of no packet.
-        wrong_checksums: candidates with a header of which nothing else can be said.
         malformed: packets with a right checksum whose fields do not fill the payload.
     """
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
-        self.skipped = 0
-        self.wrong_checksums = 0
+        self._frames = FrameStream(SYNC, HEADER_SIZE, _size, _is_sound)
         self.malformed = 0
+
+    @property
+    def skipped(self) -> int:
+        """Bytes that were part of no packet."""
+        return self._frames.skipped
+
+    @property
+    def wrong_checksums(self) -> int:
+        """Candidates with a header of which nothing else can be said."""
+        return self._frames.unsound
 
     def feed(self, data: bytes) -> Iterator[Packet]:
         """Take bytes in; yields the packets that they complete, in order."""
-        buffer = self._buffer
-        buffer += data
-        while True:
-            start = buffer.find(SYNC)
-            if start < 0:  # the last byte may be half of a SYNC
-                start = len(buffer) - (buffer[-1:] == SYNC[:1])
-            if start:
-                self.skipped += start
-                del buffer[:start]
-            if len(buffer) < HEADER_SIZE:
-                return
-            end = HEADER_SIZE + buffer[3]
-            if len(buffer) < end + CHECKSUM_SIZE:
-                return
-            if checksum(buffer[:end]) != buffer[end : end + CHECKSUM_SIZE]:
-                self.wrong_checksums += 1
-                self.skipped += 1
-                del buffer[0]
-                continue
-            fields = _fields(bytes(buffer[HEADER_SIZE:end]))
-            descriptor_set = buffer[2]
-            del buffer[: end + CHECKSUM_SIZE]
+        for frame in self._frames.feed(data):
+            fields = _fields(frame[HEADER_SIZE:-CHECKSUM_SIZE])
             if fields is None:
                 self.malformed += 1
-                continue
-            yield Packet(descriptor_set, fields)
+            else:
+                yield Packet(frame[2], fields)
 
     def clear(self) -> None:
         """Forget what is half received."""
-        self._buffer.clear()
+        self._frames.clear()
+
+
+def _size(header: bytearray) -> int:
+    return HEADER_SIZE + header[3] + CHECKSUM_SIZE
+
+
+def _is_sound(frame: bytes) -> bool:
+    return checksum(frame[:-CHECKSUM_SIZE]) == frame[-CHECKSUM_SIZE:]
 
 
 def _fields(payload: bytes) -> tuple[Field, ...] | None:

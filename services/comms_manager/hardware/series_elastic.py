@@ -93,14 +93,14 @@ class SeriesElastic(CanDevice):
     def find(self) -> None:
         """Ask every controller who it is, and check that the joints are where the robot hangs."""
         super().find()
-        assert isinstance(self.measured, JointMeasurement)
+        assert self.joint_state is not None
         robot = self.context.robot
         pose = robot.tables.nominal_posture | robot.tables.calibration.pose
         for unit in self._controllers.values():
             if unit.status & _CALIBRATED:
                 continue  # it has had power ever since that was checked: the robot may be anywhere
             for row in unit.rows:
-                position, expected = float(self.measured.position[row]), pose.get(self._names[row], 0.0)
+                position, expected = float(self.joint_state.position[row]), pose.get(self._names[row], 0.0)
                 if abs(position - expected) > robot.tables.calibration.tolerance:
                     raise DeviceError(
                         f"{unit.name}: {self._names[row]} is at {position:.3f} rad; expected {expected:.3f} "
@@ -184,7 +184,7 @@ class SeriesElastic(CanDevice):
         return tuple(others)
 
     def _hand_over(self) -> None:
-        self.measured = JointMeasurement(
+        self.joint_state = JointMeasurement(
             self._stamp.copy(), self._encoder - self._offset, self._velocity.copy(), self._effort.copy()
         )
 

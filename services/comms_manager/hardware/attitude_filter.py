@@ -1,0 +1,88 @@
+"""An attitude from rates and accelerations, for sensors that do not say theirs.
+
+A complementary filter on SO(3) after Mahony, Hamel and Pflimlin ("Nonlinear Complementary Filters on the Special
+Orthogonal Group", IEEE TAC 2008, the passive filter without bias), with the accelerometer as its one reference::
+
+    q' = ½ q ⊗ (ω + k_P · a/|a| × R(q)ᵀ e_z)
+
+What a robot's own accelerations do to the reference averages out over 1/k_P; the heading is the gyroscopes' alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+from valor.common.poses import Quaternion, Vector, multiply, rotate
+
+GRAVITY = 9.80665  # [m/s²]
+TIME_CONSTANT = 10.0  # 1/k_P, in which a wrong tilt goes back to the accelerometers' by a factor of e [s]
+ALIGNMENT = 0.1  # at rest, from which the first attitude is taken [s]
+LONGEST_GAP = 0.05  # between samples: what happens in between is the last rate's guess [s]
+REST_RATE, REST_FORCE = 0.1, 0.5  # a sensor at rest turns less, and its specific force is nearer to g [rad/s, m/s²]
+
+
+class AttitudeFilter:
+    """Attitude of a sensor with x, y, z axes in a world whose z axis points up; its heading begins at 0.
+
+    Attributes:
+        orientation: w, x, y, z; None until the sensor has been at rest.
+    """
+
+    def __init__(self) -> None:
+        self.orientation: Quaternion | None = None
+        self._rested = 0.0  # [s]
+        self._sum = [0.0, 0.0, 0.0]
+
+    def reset(self) -> None:
+        """Begin anew: nobody knows how the sensor was turned meanwhile."""
+        self.__init__()  # type: ignore[misc]
+
+    def update(self, rate: Vector, force: Vector, elapsed: float) -> None:
+        """Take a sample in.
+
+        Args:
+            rate: angular velocity in the sensor [rad/s].
+            force: specific force in the sensor [m/s²].
+            elapsed: since the sample before, by the sensor's own clock [s].
+        """
+        if elapsed > LONGEST_GAP:
+            self.reset()
+        elif self.orientation is None:
+            self._align(rate, force, elapsed)
+        else:
+            self.orientation = _turned(self.orientation, rate, force, elapsed)
+
+    def _align(self, rate: Vector, force: Vector, elapsed: float) -> None:
+        """Take the mean of the specific force at rest to point up."""
+        if math.hypot(*rate) > REST_RATE or abs(math.hypot(*force) - GRAVITY) > REST_FORCE:
+            self.reset()
+            return
+        self._sum = [total + each for total, each in zip(self._sum, force, strict=True)]
+        self._rested += elapsed
+        if self._rested >= ALIGNMENT:
+            x, y, z = self._sum
+            self.orientation = _about_horizontal(math.atan2(y, z), math.atan2(-x, math.hypot(y, z)))
+
+
+def _about_horizontal(roll: float, pitch: float) -> Quaternion:
+    """Pitched, then rolled about its own x axis [rad]."""
+    y = (math.cos(0.5 * pitch), 0.0, math.sin(0.5 * pitch), 0.0)
+    return multiply(y, (math.cos(0.5 * roll), math.sin(0.5 * roll), 0.0, 0.0))
+
+
+def _turned(q: Quaternion, rate: Vector, force: Vector, elapsed: float) -> Quaternion:
+    """The attitude after a time [s], turned by the rate and drawn towards where the specific force points up."""
+    w, x, y, z = q
+    ux, uy, uz = rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
+    fx, fy, fz = force
+    gain = 1.0 / (TIME_CONSTANT * max(math.hypot(fx, fy, fz), 0.1 * GRAVITY))
+    turn = (
+        elapsed * (rate[0] + gain * (fy * uz - fz * uy)),
+        elapsed * (rate[1] + gain * (fz * ux - fx * uz)),
+        elapsed * (rate[2] + gain * (fx * uy - fy * ux)),
+    )
+    angle = math.hypot(*turn)
+    share = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
+    w, x, y, z = multiply(q, (math.cos(0.5 * angle), share * turn[0], share * turn[1], share * turn[2]))
+    norm = math.hypot(w, x, y, z)
+    return w / norm, x / norm, y / norm, z / norm

@@ -1,0 +1,80 @@
+"""Every kind of device: its table in robot.yaml, what it provides, its driver and its emulator.
+
+A kind is a row of ``KINDS``. Driver and emulator are named, not imported: who reads robot.yaml loads neither, and who
+drives devices nothing of the simulated robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Flag, auto
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Union
+
+from valor.devices.dynamixel import Dynamixel
+from valor.devices.kvh import Kvh1750
+from valor.devices.mip import MicroStrainMip
+from valor.devices.table import Device, FtCan, HdtBifrost, SeaCanFd
+
+
+class Quantity(Flag):
+    """What a device provides, whatever its class."""
+
+    JOINT_STATE = auto()  # of the joints that it moves: it takes their commands
+    ATTITUDE = auto()  # with angular velocity and specific force, in the robot's frame of the IMU
+    WRENCH = auto()  # at feet and hands
+    TIME = auto()  # a clock that can be the robot's
+
+
+JOINT_STATE, ATTITUDE, WRENCH, TIME = Quantity.JOINT_STATE, Quantity.ATTITUDE, Quantity.WRENCH, Quantity.TIME
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A row.
+
+    Attributes:
+        table: of its devices in robot.yaml; the table's tag is the kind's name there.
+        provides: its devices.
+        driver: in ``valor.comms_manager.hardware``: module and class, a ``Device``.
+        emulator: in ``valor.device_emulators``: module and class, an ``Emulator``.
+    """
+
+    table: type[Device]
+    provides: Quantity
+    driver: str
+    emulator: str
+
+    @property
+    def name(self) -> str:
+        """As in robot.yaml."""
+        return str(self.table.__struct_config__.tag)
+
+    def load_driver(self) -> Any:
+        """The driver's class."""
+        return resolve_name(f"valor.comms_manager.hardware.{self.driver}")
+
+    def load_emulator(self) -> Any:
+        """The emulator's class."""
+        return resolve_name(f"valor.device_emulators.{self.emulator}")
+
+
+# fmt: off
+_ROWS = (
+    Kind(SeaCanFd,       JOINT_STATE | TIME, "series_elastic:SeriesElastic", "series_elastic:SeriesElasticEmulator"),
+    Kind(FtCan,          WRENCH,             "force_torque:ForceTorque",     "force_torque:ForceTorqueEmulator"),
+    Kind(MicroStrainMip, ATTITUDE,           "microstrain:MicroStrain",      "microstrain:MicroStrainEmulator"),
+    Kind(Kvh1750,        ATTITUDE,           "kvh:Kvh",                      "kvh:KvhEmulator"),
+    Kind(Dynamixel,      JOINT_STATE,        "dynamixel:DynamixelServos",    "dynamixel:DynamixelEmulator"),
+    Kind(HdtBifrost,     JOINT_STATE,        "hdt:Hdt",                      "hdt_modules:HdtModules"),
+)
+# fmt: on
+
+KINDS: Mapping[str, Kind] = {kind.name: kind for kind in _ROWS}
+
+if TYPE_CHECKING:
+    DeviceTable = Device
+else:
+    DeviceTable = Union[tuple(kind.table for kind in _ROWS)]  # noqa: UP007 (made of the rows)
+"""What may stand in robot.yaml under a device's name: one of the tables, by its kind."""
