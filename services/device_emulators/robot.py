@@ -11,6 +11,7 @@ from msgspec import structs
 
 from valor.common.instance import Settings
 from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.poses import rotate
 from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
@@ -74,6 +75,10 @@ class SimulatedRobot:
         """What perfect devices with the profile's noise would say now; the same until the plant has moved on."""
         if self._measured is None:
             self._measured = self._sensors.measure(0, round(self.time * 1e9))
+            if not self.released:  # to MuJoCo it falls; who hangs from a gantry feels what holds him
+                w, x, y, z = self._measured.imu_orientation.tolist()
+                gx, gy, gz = self.plant.model.mj.opt.gravity.tolist()
+                self._measured.imu_linear_acceleration = np.array(rotate((w, -x, -y, -z), (-gx, -gy, -gz)))
         return self._measured
 
     def power(self, joints: Places, on: bool) -> None:

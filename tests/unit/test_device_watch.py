@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from harness.places import ROBOTS
 from valor.common.behaviors import Behavior
@@ -17,6 +19,7 @@ from valor.comms_manager.hardware.condition import level as _level
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
 from valor.comms_manager.hardware.faults import REACTIONS, Reaction
 from valor.comms_manager.hardware.watch import LOOKS_TO_SILENCE, UNREAD_AFTER, DeviceWatch
+from valor.devices.kvh import Kvh1750
 from valor.motion_manager.safety.device_reactions import DEMANDS, DeviceReactions
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
@@ -29,9 +32,9 @@ PERIOD = 4_000_000  # [ns]
 class Units(Device):
     """A device of robot.yaml whose units say what a test has them say."""
 
-    def __init__(self, name: str, units: tuple[str, ...]) -> None:
-        settings = Settings(robot=ROBOT.folder, ros_domain_id=1)
-        super().__init__(name, DeviceContext(Instance("x", Path()), settings, ROBOT))
+    def __init__(self, name: str, units: tuple[str, ...], robot: RobotDescription = ROBOT) -> None:
+        settings = Settings(robot=robot.folder, ros_domain_id=1)
+        super().__init__(name, DeviceContext(Instance("x", Path()), settings, robot))
         self.records = tuple(UnitRecord(unit) for unit in units)
 
     def find(self) -> None:
@@ -240,3 +243,71 @@ def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, react
     reactions.hear(status("keep_balance"))
     reactions.update()
     assert fsm.behavior is expected, "it never leads back by itself"
+
+
+class Imus:
+    """A watch over two IMUs, the first of which leads."""
+
+    def __init__(self) -> None:
+        tables = ROBOT.tables.devices
+        devices = {"imu": tables["imu"], "kvh": Kvh1750(serial="1", rate=250)}
+        robot = RobotDescription(ROBOT.folder, structs.replace(ROBOT.tables, devices=devices))
+        self.imu, self.kvh = Units("imu", ("imu",), robot), Units("kvh", ("kvh",), robot)
+        self.imu.rate = self.kvh.rate = 250.0
+        self.watch = DeviceWatch([self.imu, self.kvh])
+        self.now = 10_000_000_000
+
+    def run(self, seconds: float, mute: Sequence[Units] = (), deaf: bool = False) -> DeviceStatus:
+        """Let time pass, and report."""
+        for _ in range(round(seconds * 1e9) // PERIOD):
+            self.now += PERIOD
+            for device in (self.imu, self.kvh):
+                device.looks += not deaf
+                if device not in mute and not deaf:
+                    device.records[0].received(self.now)
+            self.watch.update(self.now)
+        return self.watch.report(self.now)
+
+
+def test_the_first_imu_leads_and_is_followed_by_the_next_when_it_is_silent() -> None:
+    imus = Imus()
+    report = imus.run(1.0)
+    assert imus.watch.leader is imus.imu
+    assert (report.states, report.details) == (["ok", "ok"], ["leads", "stands by"])
+    report = imus.run(0.11, mute=[imus.imu])
+    assert imus.watch.leader is imus.kvh, "as soon as silence is told"
+    assert (report.reaction, report.states) == ("keep_balance", ["silent", "ok"])
+    assert report.details == ["no sound state for 0.1 s (kvh leads)", "leads"]
+    assert report.reason == "imu: no sound state for 0.1 s (kvh leads)"
+    report = imus.run(0.5)
+    assert imus.watch.leader is imus.kvh, "who is well again stands by"
+    assert (report.states, report.details, report.reason) == (["ok", "ok"], ["stands by", "leads"], "")
+
+
+def test_imus_that_all_fail_have_the_joints_held() -> None:
+    imus = Imus()
+    imus.run(1.0)
+    report = imus.run(0.2, mute=[imus.imu, imus.kvh])
+    assert (report.reaction, report.states) == ("hold", ["silent", "silent"])
+    assert imus.watch.leader is imus.imu, "as none is better off"
+    assert report.reason == "imu: no sound state for 0.1 s"
+    report = imus.run(0.05, mute=[imus.imu])
+    assert imus.watch.leader is imus.kvh and report.reaction == "keep_balance"
+
+
+def test_an_imu_that_says_that_it_is_ill_leads_no_more() -> None:
+    imus = Imus()
+    imus.run(1.0)
+    imus.imu.tell([Ailment("imu", Fault.FAULTY, "its filter is in state 3")])
+    report = imus.run(0.004)
+    assert imus.watch.leader is imus.kvh and report.reaction == "keep_balance"
+    imus.kvh.tell([Ailment("kvh", Fault.WARM, "71 °C")])
+    report = imus.run(0.004)
+    assert imus.watch.leader is imus.kvh and report.reaction == "soft_stop", "better than one that must be held"
+
+
+def test_a_computer_that_does_not_listen_changes_no_leader() -> None:
+    imus = Imus()
+    imus.run(1.0)
+    report = imus.run(UNREAD_AFTER + 0.01, deaf=True)
+    assert imus.watch.leader is imus.imu and report.reaction == "hold"

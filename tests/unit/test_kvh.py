@@ -1,0 +1,169 @@
+"""The KVH 1750's driver and emulator on a pseudo-terminal, sound and with every fault."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from tests.conftest import ROBOTS, wait_until
+from tests.unit.bench import UNSOUND, Bench, ailing, sound
+from valor.comms_manager.hardware import kvh as driver_side
+from valor.comms_manager.hardware.device import Device, DeviceError, Fault, ImuMeasurement
+from valor.device_emulators import kvh as sensor_side
+from valor.device_emulators.emulator import EmulatedFault
+from valor.devices.kvh import CRC_SIZE, HEADER, MESSAGE, Kvh1750
+from valor.robot.description import RobotDescription
+
+SERIAL = "1750-0042"
+
+
+def with_kvh(**keys: object) -> RobotDescription:
+    """ESCHER with a KVH beside its IMU."""
+    robot = RobotDescription.load(ROBOTS / "escher")
+    table = replace(Kvh1750(serial=SERIAL, rate=250), **keys)
+    return RobotDescription(robot.folder, replace(robot.tables, devices={**robot.tables.devices, "kvh": table}))
+
+
+ROBOT = with_kvh()
+
+
+@pytest.fixture
+def bench(home: Path) -> Iterator[Bench]:
+    bench = Bench(ROBOT, "kvh", home)
+    yield bench
+    bench.close()
+
+
+def newest(driver: Device) -> ImuMeasurement:
+    assert driver.attitude is not None
+    return driver.attitude
+
+
+@given(st.binary(max_size=64))
+def test_both_ends_sum_alike(data: bytes) -> None:
+    assert driver_side._is_sound(data + sensor_side.crc32(data).to_bytes(CRC_SIZE, "big"))
+
+
+def test_the_checksum_is_the_one_that_catalogues_call_mpeg_2() -> None:
+    assert sensor_side.crc32(b"123456789") == 0x0376E6E7
+
+
+def test_a_message_has_the_manuals_layout() -> None:
+    sensor = sensor_side.KvhSensor(SERIAL)
+    sensor.receive(b"=CONFIG,1\n=ROTFMT,RATE\n=DR,250\n=CONFIG,0\n")
+    sensor.rotation, sensor.acceleration = np.array([0.5, -0.25, 2.0]), np.array([0.0, 0.0, 9.80665])
+    (first,), (second,) = sensor.stream(10.0), sensor.stream(10.004)
+    assert len(first) == 36 and first[:4] == HEADER
+    assert MESSAGE.unpack_from(first) == (HEADER, 0.5, -0.25, 2.0, 0.0, 0.0, 1.0, 0x77, 0, 34)
+    assert (first[29], second[29]) == (0, 1), "its count of messages"
+
+
+def test_a_sensor_that_is_configured_answers_lines_and_is_silent() -> None:
+    sensor = sensor_side.KvhSensor(SERIAL)
+    assert sensor.receive(b"?IS\r\n=DR,100\n") == [], "in normal mode it knows nothing of that"
+    assert sensor.receive(b"=conf") == []
+    assert sensor.receive(b"ig,1\r\n") == [b"CONFIG,1\r\n"]
+    assert not sensor.stream(1.0)
+    answers = sensor.receive(b"?IS\n=DR,100\n?DR\n=DR,3\n=NONSENSE\n")
+    expected = [f"IS,{SERIAL}", "DR,100", "DR,100", "INVALID,=DR,3", "INVALID,=NONSENSE"]
+    assert answers == [f"{line}\r\n".encode() for line in expected]
+    assert sensor.receive(b"=CONFIG,0\n") == [] and sensor.stream(1.0)
+
+
+def test_what_the_robot_feels_arrives_and_becomes_an_attitude(bench: Bench) -> None:
+    """At rest it is tilted as gravity says; then it goes with its rates, but for its heading, which begins at 0."""
+
+    def feel(roll: float, pitch: float, yaw: float, rate: tuple[float, float, float]) -> np.ndarray:
+        pose = np.zeros(4)
+        mujoco.mju_euler2Quat(pose, np.array([roll, pitch, yaw]), "xyz")
+        with bench.lock:
+            plant = bench.robot.plant
+            plant.data.qpos[3:7], plant.data.qvel[3:6] = pose, rate
+            mujoco.mj_forward(plant.model.mj, plant.data)
+            bench.robot._measured = None
+        return pose
+
+    tilt = feel(0.2, -0.1, 0.0, (0.0, 0.0, 0.0))
+    with bench.running() as driver:
+        sound(driver)
+        found = newest(driver).orientation
+        up = np.zeros(3)
+        for attitude in (tilt, found):
+            mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), attitude * [1, -1, -1, -1])
+            np.testing.assert_allclose(up, [0.1, 0.2, 0.97], atol=0.02)
+        np.testing.assert_allclose(newest(driver).linear_acceleration, bench.robot.measured.imu_linear_acceleration)
+        feel(0.2, -0.1, 0.0, (0.4, -0.3, 0.2))
+        wait_until(lambda: abs(newest(driver).angular_velocity[0] - 0.4) < 1e-5, 10, "its rate")
+        np.testing.assert_allclose(newest(driver).angular_velocity, [0.4, -0.3, 0.2], atol=1e-6)
+        turned = lambda: 2.0 * np.arccos(min(1.0, abs(float(found @ newest(driver).orientation))))  # noqa: E731
+        wait_until(lambda: turned() > 0.25, 10, "it has turned half a second or so")
+
+
+@pytest.mark.parametrize("fault", UNSOUND)
+def test_nothing_of_a_sick_sensor_is_believed_and_it_is_used_again_when_well(
+    bench: Bench, fault: EmulatedFault
+) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("kvh", fault)
+        looks, record = driver.looks, driver.records[0]
+        wait_until(lambda: driver.looks > looks + 5 and time.monotonic_ns() - record.stamp > 1e8, 10, "silence")
+        assert (record.errors > 0) is (fault is not EmulatedFault.SILENT)
+        bench.heal()
+        sound(driver)
+
+
+def test_what_comes_twice_is_taken_once(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("kvh", EmulatedFault.DUPLICATE)
+        record = driver.records[0]
+        wait_until(lambda: record.errors >= 20, 10, "refused messages")
+        states, errors = record.states, record.errors
+        wait_until(lambda: record.errors >= errors + 20, 10, "refused messages")
+        assert abs((record.states - states) - (record.errors - errors)) <= 2
+
+
+def test_a_sensor_that_is_too_warm_says_so(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("kvh", EmulatedFault.OVER_TEMPERATURE)
+        assert ailing(driver, "kvh", Fault.HOT).detail == "90 °C; expected less than 75 °C"
+
+
+def test_an_unplugged_sensor_is_told_of_and_found_again(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject("kvh", EmulatedFault.UNPLUGGED)
+        assert "gone" in ailing(driver, "kvh", Fault.UNPLUGGED).detail
+        bench.heal()
+        before = newest(driver)
+        sound(driver)
+        wait_until(lambda: newest(driver) is not before, 10, "it knows its attitude again")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (None, f"kvh: serial number '{SERIAL}'; expected '7'"),
+        (EmulatedFault.SILENT, "kvh: no answer within 1 s; expected a KVH 1750 with serial number 7"),
+        (EmulatedFault.UNPLUGGED, "kvh: .*cannot be opened.*expected a KVH 1750 with serial number 7"),
+    ],
+)
+def test_start_is_refused_without_it(bench: Bench, fault: EmulatedFault | None, message: str) -> None:
+    if fault is not None:
+        bench.inject("kvh", fault)
+        plugged = lambda: any(bench.instance.ports.iterdir())  # noqa: E731
+        wait_until(lambda: fault is not EmulatedFault.UNPLUGGED or not plugged(), 5, "unplugged")
+    driver = bench.driver(with_kvh(serial="7"))
+    with pytest.raises(DeviceError, match=message):
+        driver.find()
+    driver.close()
