@@ -1,8 +1,9 @@
-"""THOR on its devices: emulated motor controllers, sensors and Dynamixel arms on real ports."""
+"""THOR on its devices: emulated motor controllers, sensors, Dynamixel arms on real ports; and two IMUs, not one."""
 
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -19,6 +20,7 @@ from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "thor")
 SPEED = 1.0  # of what is commanded [rad/s]
+KVH = '  kvh: { kind: kvh_1750, serial: "1750-0042", rate: 250 }\n'
 NEAR = 0.05  # what trajectory controllers allow a goal [rad]
 
 
@@ -54,8 +56,13 @@ class Thor(RobotOnDevices):
 
 
 @pytest.fixture(scope="module")
-def thor() -> Iterator[Thor]:
-    with on_devices(robot=ROBOT.folder, actuators="hardware") as running:
+def thor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Thor]:
+    """With the thesis' second IMU beside its first."""
+    folder = tmp_path_factory.mktemp("robots") / "thor"
+    shutil.copytree(ROBOT.folder, folder)
+    file = folder / "robot.yaml"
+    file.write_text(file.read_text().replace("  neck:\n    kind:", f"{KVH}  neck:\n    kind:"))
+    with on_devices(robot=folder, actuators="hardware") as running:
         yield Thor(running)
 
 
@@ -65,7 +72,7 @@ def test_every_device_is_found_and_the_robot_stands_reaches_and_grasps(thor: Tho
     for name, device in ROBOT.tables.devices.items():
         if isinstance(device, Dynamixel):
             assert [unit for unit in units if unit.startswith(name)] == [f"{name}/{s.joint}" for s in device.servos]
-    assert {unit.split("/")[0] for unit in units} == set(ROBOT.tables.devices)
+    assert {unit.split("/")[0] for unit in units} == {*ROBOT.tables.devices, "kvh"}
     thor.go("stand_manipulate")
     tables = ROBOT.tables
     thor.move({**tables.arm_presets["forward"]["right"], **tables.hand_presets["close"]["left"]})
@@ -86,6 +93,47 @@ def test_the_lidar_turns_at_its_speed(thor: Thor) -> None:
         turned += math.remainder(following.joint_position[place] - last.joint_position[place], 2.0 * math.pi)
         last = following
     assert turned / (1e-9 * (last.time - first.time)) == pytest.approx(servo.spin, rel=0.2)
+
+
+def test_a_robot_whose_imu_is_unplugged_stands_by_the_other_one(thor: Thor) -> None:
+    """And by the first again when the other one is gone, too; without any it is held."""
+    fault = FAULT.client(thor.node)
+
+    def fail(device: str, kind: str) -> None:
+        reply = fault.call(FaultRequest(device, device, kind, 0.0), timeout=PATIENCE)
+        assert reply.accepted, reply.reason
+
+    def unit(name: str) -> tuple[str, str]:
+        status = thor.status
+        place = status.units.index(name)
+        return status.states[place], status.details[place]
+
+    def heading() -> float:
+        w, x, y, z = thor.measured().imu_orientation
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    wait_until(lambda: (unit("imu"), unit("kvh")) == (("ok", "leads"), ("ok", "stands by")), PATIENCE, "both are well")
+    thor.go("stand")
+    before = heading()
+    fail("imu", "unplugged")
+    wait_until(lambda: unit("kvh") == ("ok", "leads"), PATIENCE, "the other one leads")
+    assert unit("imu")[0] == "unplugged" and unit("imu")[1].endswith("(kvh leads)")
+    assert thor.status.reaction == "keep_balance"
+    assert heading() == pytest.approx(before, abs=0.02)
+    standing = thor.state.time
+    wait_until(lambda: thor.state.time > standing + 2_000_000_000, PATIENCE, "two seconds of the robot")
+    assert thor.behavior == "stand", thor.state.reason
+    fail("imu", "")
+    wait_until(lambda: unit("imu") == ("ok", "stands by"), PATIENCE, "it is found again")
+    fail("kvh", "silent")
+    wait_until(lambda: unit("imu") == ("ok", "leads"), PATIENCE, "the first leads again")
+    assert thor.behavior == "stand", thor.state.reason
+    fail("imu", "silent")
+    wait_until(lambda: thor.behavior == "freeze", PATIENCE, "without any the joints are held")
+    assert thor.state.reason.startswith(("imu: no sound state", "kvh: no sound state"))
+    for device in ("imu", "kvh"):
+        fail(device, "")
+    wait_until(lambda: thor.status.reaction == "keep_balance", PATIENCE, "both are well")
 
 
 def test_legs_that_lost_their_power_for_a_moment_have_the_robot_go_limp(thor: Thor) -> None:

@@ -149,6 +149,16 @@ def test_a_slow_unit_brings_the_robot_to_rest() -> None:
     assert (trouble.unit, trouble.fault, trouble.reaction) == ("legs/1", Fault.SLOW, Reaction.SOFT_STOP)
 
 
+def test_a_unit_that_was_silent_is_not_slow_besides() -> None:
+    bench = Bench()
+    bench.run(3.04)
+    bench.run(0.9, mute=("2",))
+    bench.run(0.004)
+    for _ in range(20):
+        bench.run(0.1)
+        assert not bench.watch.troubles
+
+
 def test_reports_come_every_second_and_on_change() -> None:
     bench = Bench()
     bench.run(2.0)

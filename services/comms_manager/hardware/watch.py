@@ -51,6 +51,7 @@ class _Unit:
         self.rates = UnitRates(self.record)
         self.silent_after = round(1e9 * device.silent_after)
         self.silent = self.slow = False
+        self.was_silent = False  # since rates were taken last
         self.unread: Fault | None = None  # or ``OVERDUE``
         self._states = self._looks = 0
         self._looks_in_vain = 0  # since the newest state
@@ -84,6 +85,7 @@ class _Unit:
         unread = Fault.UNREAD if away > _UNREAD else Fault.OVERDUE if away > self.silent_after else None
         changed = silent is not self.silent or unread is not self.unread
         self.silent, self.unread = silent, unread
+        self.was_silent |= silent
         return changed
 
 
@@ -132,7 +134,9 @@ class DeviceWatch:
         changed = False
         for unit in self._units:
             unit.rates.update(now)
-            slow = not unit.silent and unit.rates.rate < HALF_RATE * unit.device.rate
+            # Of a window in which it was silent, that is what was told of it.
+            slow = not (unit.silent or unit.was_silent) and unit.rates.rate < HALF_RATE * unit.device.rate
+            unit.was_silent = unit.silent
             if slow is not unit.slow:
                 unit.slow, changed = slow, True
         return changed
