@@ -6,7 +6,7 @@ import inspect
 
 import pytest
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from valor.comms_manager.hardware.device import Device
 from valor.device_emulators.emulator import Emulator
 from valor.devices.kinds import KINDS, Kind, Quantity

@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from tests.conftest import ROBOTS, wait_until
-from tests.unit.bench import UNSOUND, Bench, ailing, sound
+from harness.device_bench import UNSOUND, Bench, ailing, sound
+from harness.places import ROBOTS
+from harness.waiting import wait_until
 from valor.comms_manager.hardware import kvh as driver_side
 from valor.comms_manager.hardware.device import Device, DeviceError, Fault, ImuMeasurement
 from valor.device_emulators import kvh as sensor_side

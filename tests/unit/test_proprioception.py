@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
-from tests.conftest import ROBOTS, examples
+from harness.examples import examples
+from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
 from valor.common.poses import about_z, multiply
