@@ -86,4 +86,4 @@ def test_a_walk_ends_where_robot_time_begins_anew() -> None:
     result = run.result(None)
     assert result.duration == 3.0
     assert result.distance == pytest.approx(0.9)
-    assert "began anew" in result.reason
+    assert "restarted" in result.reason
