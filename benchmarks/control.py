@@ -89,7 +89,7 @@ STAGES = {
     "fall detection": "detector.update",
     "controller": "controller.update",
     "– gait, swinging foot, adjustment": "controller._step",
-    "– references, wishes, joint limits": "controller._wishes.update",
+    "– references, tasks, joint limits": "controller._desired.update",
     "– self-collision": "controller._bounds",
     "– objective": "controller._objective.update",
     "– contact forces": "controller._contacts.update",

@@ -18,7 +18,8 @@ from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.tasks.weights import TASKS, TaskWeights
+from valor.motion_manager.whole_body.tasks.table import WEIGHTS
+from valor.motion_manager.whole_body.tasks.weights import TaskWeights
 from valor.robot.description import RobotDescription
 
 
@@ -66,7 +67,7 @@ class TuningHandler:
         """Obey or refuse; returns whether it is obeyed."""
         message, weights = received.message, self._weights
         try:
-            places = self._places(message.names, {task: i for i, task in enumerate(TASKS)}, "task")
+            places = self._places(message.names, {task: i for i, task in enumerate(WEIGHTS)}, "task")
             _check_numbers(message.names, weights=message.weights)
         except RefusalError as refusal:
             self._rejections.add(BALANCE_WEIGHTS.name, received.origin, "weights", str(refusal))

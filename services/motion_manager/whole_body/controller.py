@@ -18,14 +18,16 @@ from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.constraints.contact import FootContacts
 from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
 from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.model.dynamics import SOLES, ModelJoints
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
+from valor.motion_manager.whole_body.model.motion import FEET
 from valor.motion_manager.whole_body.set_points import SetPoints
 from valor.motion_manager.whole_body.solver.elimination import UnsolvableError
 from valor.motion_manager.whole_body.solver.objective import Objective
 from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
+from valor.motion_manager.whole_body.tasks.desired import DesiredAccelerations
+from valor.motion_manager.whole_body.tasks.table import TASKS, WEIGHTS, motions
 from valor.motion_manager.whole_body.tasks.weights import TaskWeights
-from valor.motion_manager.whole_body.tasks.wishes import Wishes
 from valor.motion_manager.whole_body.walking.footsteps import StepSource
 from valor.motion_manager.whole_body.walking.gait import Gait
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
@@ -73,20 +75,23 @@ class WholeBodyController:
         legs = joints.group("left_leg", "right_leg")
         self.pelvis = PelvisReference(model, legs)
         self._set_points = SetPoints(robot, joints)
-        self._wishes = Wishes(
+        tasks, motions_of_tasks = [task(robot) for task in TASKS], motions(model)
+        self._desired = DesiredAccelerations(
             robot,
             joints,
+            tasks=tasks,
+            motions=motions_of_tasks,
             law=law,
             upper_body=self._upper_body,
             pelvis=self.pelvis,
-            legs=legs,
+            legs=legs.tolist(),
             set_points=self._set_points,
         )
-        self._objective = Objective(table, joints)
+        self._objective = Objective(tasks, motions_of_tasks, joints)
         self.weights = TaskWeights(table, robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * -float(model.mj.opt.gravity[2])
-        self._walking = robot.tables.walking
+        self._swung: int | None = None  # the foot that the objective knows to swing
         self.step_source: StepSource | None = None
         self.may_recover = True
         self.watch = BalanceWatch(robot)
@@ -97,6 +102,7 @@ class WholeBodyController:
         self._joint_bounds = Bounds(  # without those of parts that are near
             np.concatenate((-effort, np.zeros(joints.count))), np.concatenate((effort, np.zeros(joints.count)))
         )
+        self._soles = motions_of_tasks.rows[FEET]
         self._collision = SelfCollision(model)
         self._load = (1.0, 1.0)
         self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
@@ -136,16 +142,16 @@ class WholeBodyController:
     @property
     def integral(self) -> FloatArray:
         """(3,) of the DCM law [m]."""
-        return self._wishes.integral
+        return self._desired.integral
 
     def reset(self, state: RobotState) -> None:
         """Begin to stand from ``state`` without a jump: references start there and go to nominal."""
         position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self.weights.reset()
-        self._objective.weigh(self.weights.values)
+        self._weigh(None)
         self._gait.stop()
-        self._wishes.reset(state)
+        self._desired.reset(state)
         self._set_points.reset(position)
         self._effort = np.clip(state.joint_effort, -self._effort_limit, self._effort_limit)
         self._forces = state.foot_forces.copy()
@@ -154,7 +160,7 @@ class WholeBodyController:
         """After ``reset``: a foot that is found in the air comes down where the DCM needs it, and the robot stands."""
         foot = int(state.foot_forces.argmin())
         if not state.contacts[foot]:
-            self._gait.catch(state, self._recovery, foot, state.dcm_in_odom - self._wishes.shift)
+            self._gait.catch(state, self._recovery, foot, state.dcm_in_odom - self._desired.shift)
 
     def leave(self) -> None:
         """Somebody else has the legs: what had begun is forgotten."""
@@ -169,17 +175,18 @@ class WholeBodyController:
             reference: of waist and arms.
             dt: since the last period [s].
         """
-        dynamics, wishes, objective = state.dynamics, self._wishes, self._objective
+        dynamics, desired, objective = state.dynamics, self._desired, self._objective
         self._upper_body.update(reference.position[self._joints.places])
         self.pelvis.advance(1e-9 * state.time, dt)
-        if self.weights.advance():
-            objective.weigh(self.weights.values)
+        changed = self.weights.advance()
         self._step(state, dt)
-        wishes.update(state, self._gait, reference, dt)
+        if changed or self._gait.swinging != self._swung:
+            self._weigh(self._gait.swinging)
+        desired.update(state, self._gait, reference, dt)
         try:
             bounds = self._bounds(state)
-            objective.update(dynamics, wishes.acceleration, wishes.posture)
-            self._contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+            objective.update(dynamics, desired.acceleration, desired.posture)
+            self._contacts.update(dynamics.jacobian[self._soles], dynamics.sole_rotation)
             solution = self._qp.solve(objective, dynamics, self._contacts.forces, bounds)
         except UnsolvableError as error:
             return self._last_feasible(state, str(error))
@@ -187,7 +194,7 @@ class WholeBodyController:
 
     def _step(self, state: RobotState, dt: float) -> None:
         """Let the gait go on, or begin if there are steps to take."""
-        gait, reference = self._gait, self._wishes
+        gait, reference = self._gait, self._desired
         if self._recovers and self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
             self.pelvis.go_home()
             gait.recover(state, self._recovery, state.dcm_in_odom - reference.shift, reference.centre_vrp)
@@ -195,17 +202,20 @@ class WholeBodyController:
             gait.update(state, state.dcm_in_odom - reference.shift, dt)
         elif self.step_source is not None and self.pelvis.resting:
             gait.start(state, self.step_source, reference.centre_dcm, reference.centre_vrp)
-        self._objective.swing(gait.swinging, self._walking.foot_weight)
         left, right = gait.load.tolist()
         if (left, right) != self._load:
             self._load = (left, right)
             self._qp.limit_forces(self._contacts.upper(self._load, self._weight))
 
+    def _weigh(self, swinging: int | None) -> None:
+        self._swung = swinging
+        self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swinging)
+
     def _bounds(self, state: RobotState) -> Bounds:
         """Those of the joints, and those of parts of the robot that are near each other."""
-        own, wishes, n = self._joint_bounds, self._wishes, self._joints.count
-        own.lower[n:], own.upper[n:] = wishes.lower, wishes.upper
-        limit = self._collision.update(state.dynamics, wishes.velocity, state.time)
+        own, desired, n = self._joint_bounds, self._desired, self._joints.count
+        own.lower[n:], own.upper[n:] = desired.lower, desired.upper
+        limit = self._collision.update(state.dynamics, desired.velocity, state.time)
         if limit is None:
             return own
         lower = self._collision.lower
@@ -238,7 +248,7 @@ class WholeBodyController:
             acceleration=acceleration,
             position=position,
             velocity=velocity,
-            dcm_reference_in_odom=self._wishes.dcm,
+            dcm_reference_in_odom=self._desired.dcm,
             desired_foot_forces=self._forces,
             qp_status=status,
             qp_failures=self.qp_failures,

@@ -13,6 +13,7 @@ from harness.closed_loop import load_robot
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.tasks.table import motions
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
 
@@ -39,7 +40,7 @@ class RandomState:
 
     def evaluate(self, model: Model) -> Dynamics:
         """The Dynamics at this state, which never sees where the pelvis is nor its linear velocity."""
-        dynamics = Dynamics(model)
+        dynamics = Dynamics(model, motions(model))
         dynamics.update(
             rotation.quaternion(self.qpos[3:7]), self.qvel[3:6].copy(), self.qpos[7:].copy(), self.qvel[6:].copy()
         )

@@ -8,7 +8,8 @@ import pytest
 
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.model.dynamics import CHEST, COM, MOMENTUM, PELVIS, SOLES, Dynamics
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.tasks.table import motions
 from valor.robot.model import Model
 
 STATES = 5
@@ -33,7 +34,7 @@ def test_com_and_its_jacobian(model: Model, state: RandomState) -> None:
     jacobian = np.zeros((3, model.mj.nv))
     mujoco.mj_jacSubtreeCom(model.mj, state.data, jacobian, base)
     # MuJoCo's derives from the bodies' masses; ours from the mass matrix, whose armature acts on joints alone.
-    np.testing.assert_allclose(dynamics.jacobian[COM], jacobian, atol=1e-12)
+    np.testing.assert_allclose(dynamics.jacobian[dynamics.rows["com"]], jacobian, atol=1e-12)
     np.testing.assert_allclose(dynamics.com, state.data.subtree_com[base] - state.qpos[:3], atol=1e-12)
 
 
@@ -41,34 +42,37 @@ def test_angular_momentum_matrix(model: Model, state: RandomState) -> None:
     dynamics = state.evaluate(model)
     matrix = np.zeros((3, model.mj.nv))
     mujoco.mj_angmomMat(model.mj, state.data, matrix, model.body(model.robot.tables.base))
-    np.testing.assert_allclose(dynamics.jacobian[MOMENTUM], matrix, atol=1e-11)
+    np.testing.assert_allclose(dynamics.jacobian[dynamics.rows["angular_momentum"]], matrix, atol=1e-11)
 
 
 def test_sole_and_chest_jacobians(model: Model, state: RandomState) -> None:
     dynamics, tables = state.evaluate(model), model.robot.tables
     nv = model.mj.nv
-    for foot, first in ((tables.feet.left, 12), (tables.feet.right, 18)):
+    for foot, first in ((tables.feet.left, 0), (tables.feet.right, 6)):
         linear, angular = np.zeros((3, nv)), np.zeros((3, nv))
         mujoco.mj_jacSite(model.mj, state.data, linear, angular, model.site(foot.sole))
-        np.testing.assert_allclose(dynamics.jacobian[first : first + 6], np.vstack((linear, angular)), atol=1e-12)
+        np.testing.assert_allclose(
+            dynamics.jacobian[dynamics.rows["feet"]][first : first + 6], np.vstack((linear, angular)), atol=1e-12
+        )
     angular = np.zeros((3, nv))
     mujoco.mj_jacBody(model.mj, state.data, None, angular, model.body(tables.chest))
-    np.testing.assert_allclose(dynamics.jacobian[CHEST], angular, atol=1e-12)
+    np.testing.assert_allclose(dynamics.jacobian[dynamics.rows["chest"]], angular, atol=1e-12)
     mujoco.mj_jacBody(model.mj, state.data, None, angular, model.body(tables.base))
-    np.testing.assert_allclose(dynamics.jacobian[PELVIS], angular, atol=1e-12)
+    np.testing.assert_allclose(dynamics.jacobian[dynamics.rows["pelvis"]], angular, atol=1e-12)
 
 
 def test_drift_against_mujocos_jacobian_derivative(model: Model, state: RandomState) -> None:
     dynamics, tables = state.evaluate(model), model.robot.tables
     nv = model.mj.nv
     points = [
-        (model.site(foot.sole), foot.body, first) for foot, first in ((tables.feet.left, 12), (tables.feet.right, 18))
+        (model.site(foot.sole), foot.body, first) for foot, first in ((tables.feet.left, 0), (tables.feet.right, 6))
     ]
+    drift = dynamics.drift[dynamics.rows["feet"]]
     for site, body, first in points:
         linear, angular = np.zeros((3, nv)), np.zeros((3, nv))
         mujoco.mj_jacDot(model.mj, state.data, linear, angular, state.data.site_xpos[site], model.body(body))
-        np.testing.assert_allclose(dynamics.drift[first : first + 3], linear @ state.qvel, atol=1e-9)
-        np.testing.assert_allclose(dynamics.drift[first + 3 : first + 6], angular @ state.qvel, atol=1e-9)
+        np.testing.assert_allclose(drift[first : first + 3], linear @ state.qvel, atol=1e-9)
+        np.testing.assert_allclose(drift[first + 3 : first + 6], angular @ state.qvel, atol=1e-9)
 
 
 def test_all_drifts_against_finite_differences(model: Model, state: RandomState) -> None:
@@ -92,14 +96,12 @@ def test_momentum_rates_obey_newton_and_euler(model: Model, state: RandomState) 
     dynamics = state.evaluate(model)
     acceleration = np.linalg.solve(dynamics.mass_matrix, -dynamics.bias)  # no torques, no contacts
     rates = dynamics.jacobian @ acceleration + dynamics.drift
-    np.testing.assert_allclose(rates[COM], (0.0, 0.0, -dynamics.gravity), atol=1e-8)
-    np.testing.assert_allclose(rates[MOMENTUM], 0.0, atol=1e-8)
+    np.testing.assert_allclose(rates[dynamics.rows["com"]], (0.0, 0.0, -dynamics.gravity), atol=1e-8)
+    np.testing.assert_allclose(rates[dynamics.rows["angular_momentum"]], 0.0, atol=1e-8)
 
 
 def test_velocities_of_tasks_are_relative_to_the_pelvis_linear_velocity(model: Model, state: RandomState) -> None:
     dynamics = state.evaluate(model)
-    linear = np.zeros(24)
-    for first in (0, 12, 18):
-        linear[first : first + 3] = state.qvel[:3]
+    linear = motions(model).carried @ state.qvel[:3]
     np.testing.assert_allclose(dynamics.task_velocity + linear, dynamics.jacobian @ state.qvel, atol=1e-10)
-    assert dynamics.task_velocity[SOLES].shape == (12,)
+    assert dynamics.task_velocity[dynamics.rows["feet"]].shape == (12,)

@@ -19,6 +19,8 @@ from valor.motion_manager.whole_body import FloatingBaseEstimator, RobotState
 from valor.motion_manager.whole_body.estimation.attitude import LARGEST_LEVEL, Attitude
 from valor.motion_manager.whole_body.estimation.odometry import FEET, NOTHING, SIZE, Odometry
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.model.motion import FEET as FEET_MOTION
+from valor.motion_manager.whole_body.tasks.table import motions
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
@@ -117,7 +119,7 @@ def measured(robot: RobotDescription) -> Proprioceptor:
 
 def test_contact_has_hysteresis(robot: RobotDescription, model: Model, measured: Proprioceptor) -> None:
     estimator = FloatingBaseEstimator(robot, model)
-    weight = Dynamics(model).mass * 9.81
+    weight = Dynamics(model, motions(model)).mass * 9.81
     table = robot.tables.estimator
     between = 0.5 * (table.contact_on + table.contact_off) * weight
     contacts = []
@@ -305,7 +307,7 @@ def test_a_foot_that_rolls_over_its_heel_moves_nothing(
             msgspec.structs.replace(measured, time=k * 2_000_000, left_foot_wrench=left, right_foot_wrench=right)
         )
     start = place = state.sole_positions_in_odom[0] + state.sole_rotations_in_odom[0] @ (heel, 0.0, 0.0)
-    posture, kinematics = measured.joint_position.copy(), Dynamics(model)
+    posture, kinematics = measured.joint_position.copy(), Dynamics(model, motions(model))
     places = kinematics.joints.places
     fixed = state.pelvis_position_in_odom
     for k in range(100, 600):
@@ -318,7 +320,7 @@ def test_a_foot_that_rolls_over_its_heel_moves_nothing(
             here = kinematics.sole_position[0] + kinematics.sole_rotation[0] @ (heel, 0.0, 0.0) + fixed
             pitch = -np.arcsin(kinematics.sole_rotation[0][2, 0])
             error = np.array((*(start - here)[[0, 2]], angle - pitch))
-            rows = kinematics.jacobian[12:18][:, 6:]
+            rows = kinematics.jacobian[kinematics.rows[FEET_MOTION]][:6, 6:]
             lever = kinematics.sole_rotation[0] @ (heel, 0.0, 0.0)
             linear = rows[:3] + np.cross(rows[3:].T, lever).T
             columns = [j - robot.index["l_hip_yaw"] for j in (hip, knee, ankle)]

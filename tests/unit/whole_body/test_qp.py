@@ -12,11 +12,13 @@ from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
 from valor.common.rotation import IDENTITY
 from valor.motion_manager.whole_body.constraints.contact import FootContacts, contact_points, sole_generators
-from valor.motion_manager.whole_body.model.dynamics import SOLES, Dynamics
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.model.motion import FEET
 from valor.motion_manager.whole_body.solver.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
 from valor.motion_manager.whole_body.solver.objective import Objective
 from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.state import QpStatus
+from valor.motion_manager.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 
@@ -81,10 +83,13 @@ def problem(robot: RobotDescription, model: Model, state: RandomState, seed: int
     """Random wishes at a state."""
     rng = np.random.default_rng(seed)
     dynamics = state.evaluate(model)
-    objective = Objective(robot.tables.whole_body, dynamics.joints)
-    objective.update(dynamics, rng.normal(scale=2.0, size=24), rng.normal(scale=5.0, size=dynamics.joints.count))
+    objective = Objective([task(robot) for task in TASKS], motions(model), dynamics.joints)
+    objective.weigh(dict(zip(WEIGHTS, nominal_weights(robot.tables.whole_body), strict=True)), None)
+    objective.update(
+        dynamics, rng.normal(scale=2.0, size=dynamics.drift.size), rng.normal(scale=5.0, size=dynamics.joints.count)
+    )
     contacts = FootContacts(robot, model.mj.nv)
-    contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+    contacts.update(dynamics.jacobian[dynamics.rows[FEET]], dynamics.sole_rotation)
     damping = model.mj.dof_damping[6:].copy()
     return Problem(dynamics, objective, contacts, damping, ContactForceQp(contacts.count, damping))
 
@@ -184,8 +189,8 @@ def test_while_the_feet_push_everywhere_the_optimum_needs_no_solver(
     standing = problem(robot, model, next(iter(random_states(model, 1, seed=0))), 0)
     dynamics, n = standing.dynamics, len(standing.damping)
     dynamics.update(IDENTITY, np.zeros(3), robot.nominal_posture[dynamics.joints.places], np.zeros(n))
-    standing.objective.update(dynamics, np.zeros(24), np.zeros(n))
-    standing.contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+    standing.objective.update(dynamics, np.zeros(dynamics.drift.size), np.zeros(n))
+    standing.contacts.update(dynamics.jacobian[dynamics.rows[FEET]], dynamics.sole_rotation)
     acceleration, rho, _ = standing.solve_in_full(standing.unbounded())
     solver = daqp.solve
 
@@ -260,16 +265,16 @@ def test_generalised_forces_are_those_of_the_wrenches(robot: RobotDescription, m
     state = next(iter(random_states(model, 1, seed=11)))
     dynamics = state.evaluate(model)
     contacts = FootContacts(robot, model.mj.nv)
-    contacts.update(dynamics.jacobian[SOLES], dynamics.sole_rotation)
+    contacts.update(dynamics.jacobian[dynamics.rows[FEET]], dynamics.sole_rotation)
     rho = np.random.default_rng(2).random(32) * 50.0
     generalised = np.zeros(model.mj.nv)
     vertical = []
     for i in range(2):
         wrench = sole_generators(contacts.points[i], robot.tables.whole_body.friction) @ rho[16 * i : 16 * i + 16]
         turn = dynamics.sole_rotation[i]
-        first = 12 + 6 * i
-        generalised += dynamics.jacobian[first : first + 3].T @ (turn @ wrench[:3])
-        generalised += dynamics.jacobian[first + 3 : first + 6].T @ (turn @ wrench[3:])
+        sole = dynamics.jacobian[dynamics.rows[FEET]][6 * i : 6 * i + 6]
+        generalised += sole[:3].T @ (turn @ wrench[:3])
+        generalised += sole[3:].T @ (turn @ wrench[3:])
         vertical.append((turn @ wrench[:3])[2])
     np.testing.assert_allclose(contacts.forces.T @ rho, generalised, atol=1e-9)
     np.testing.assert_allclose(contacts.vertical_forces(rho), vertical, atol=1e-9)

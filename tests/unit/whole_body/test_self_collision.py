@@ -14,6 +14,7 @@ from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
+from valor.motion_manager.whole_body.tasks.table import motions
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
@@ -35,7 +36,7 @@ def test_a_row_is_how_the_distance_changes(pair: tuple[str, str]) -> None:
     """Between capsules: ḋ is row·v, and from it comes the barrier."""
     robot = load_robot(self_collision={"pairs": [pair], "near": 0.45, "distance": 0.0})
     model = controller_model(robot)
-    dynamics, collision = Dynamics(model), SelfCollision(model)
+    dynamics, collision = Dynamics(model, motions(model)), SelfCollision(model)
     one, other = model.shape(pair[0]), model.shape(pair[1])
     rng, step, segment = np.random.default_rng(4), 1e-4, np.zeros(6)
     posture = robot.nominal_posture[dynamics.joints.places]

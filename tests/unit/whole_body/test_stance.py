@@ -12,7 +12,7 @@ from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.motion_manager.whole_body import RobotState
 from valor.motion_manager.whole_body.balance.reference import Feet
-from valor.motion_manager.whole_body.tasks.stance import hold, stance
+from valor.motion_manager.whole_body.tasks.feet import hold, stance
 
 STIFFNESS = 100.0
 

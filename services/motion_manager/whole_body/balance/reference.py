@@ -3,7 +3,7 @@
 All start values fade out by one minimum-jerk blend s(t) (Flash & Hogan 1985). The CoM ends over the support's centre at
 its nominal height, moved with the arms (``arms``) and as the pelvis is led (``pelvis``); pelvis and chest end level,
 heading as the feet do, turned as the pelvis is led. While the robot steps, DCM and VRP are those of its gait, moved
-likewise. All of it is expressions of ``kernel``, which ``wishes`` evaluates.
+likewise. All of it is expressions of ``kernel``, which ``tasks.desired`` evaluates.
 """
 
 from __future__ import annotations

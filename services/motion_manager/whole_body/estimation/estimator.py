@@ -37,8 +37,11 @@ from valor.motion_manager.whole_body.estimation.attitude import Attitude
 from valor.motion_manager.whole_body.estimation.foot_contact import FootContact, FootSense, Past
 from valor.motion_manager.whole_body.estimation.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
 from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.model.dynamics import COM, SOLES, Dynamics
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.state import RobotState
+from valor.motion_manager.whole_body.tasks.centre_of_mass import CentreOfMass
+from valor.motion_manager.whole_body.tasks.feet import FootMotion
+from valor.motion_manager.whole_body.tasks.table import motions
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 
@@ -117,7 +120,7 @@ class FloatingBaseEstimator:
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         self._table = table = robot.tables.estimator
-        self.dynamics = dynamics = Dynamics(model)
+        self.dynamics = dynamics = Dynamics(model, motions(model))
         self._joints = len(robot.joints)
         site = model.site(robot.tables.imu.site)
         self._mounting = rotation.quaternion(model.mj.site_quat[site])
@@ -155,7 +158,7 @@ class FloatingBaseEstimator:
                 dynamics.task_velocity,
                 dynamics.sole_position,
                 dynamics.sole_rotation,
-                dynamics.jacobian[SOLES],
+                dynamics.jacobian[dynamics.rows[FootMotion.name]],
             ),
             (*self._after, self._told, self._touching),
         )
@@ -322,7 +325,7 @@ class FloatingBaseEstimator:
             memory.joint_velocity,
         )
         base, velocity = odometry.state[POSITION, :].T, odometry.state[VELOCITY, :].T
-        com_velocity = velocity + task_velocity[COM]
+        com_velocity = velocity + task_velocity[dynamics.rows[CentreOfMass.name]]
         level = odometry.covariance[BIAS, BIAS] / dynamics.gravity**2
         told = {
             "pelvis_position_in_odom": base,

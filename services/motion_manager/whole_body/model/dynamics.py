@@ -8,10 +8,7 @@ The equations of motion, pelvis rows first (linear in odom, angular in pelvis), 
 
     M(q)·v̇ + h(q, v) = Sᵀ·τ + Jᵀ·f
 
-The centroidal quantities are in the pelvis rows already (Orin & Goswami 2008; Wensing & Orin 2016): with r the CoM
-from the pelvis and R the pelvis' rotation,
-
-    m·c̈ = M₀₋₂·v̇ + h₀₋₂ + m·g,    k̇ = R·(M₃₋₅·v̇ + h₃₋₅) − r×(M₀₋₂·v̇ + h₀₋₂)
+What tasks want something of is in ``motion``.
 """
 
 from __future__ import annotations
@@ -26,21 +23,9 @@ import numpy.typing as npt
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.rotation import Quaternion
-from valor.motion_manager.kernel import Expression, Kernel, by_rows, parts
+from valor.motion_manager.kernel import Expression, Kernel, parts
+from valor.motion_manager.whole_body.model.motion import FEET, Base, Motions
 from valor.robot.model import Indices, Model
-
-# Rows of ``Dynamics.jacobian`` and ``Dynamics.drift``.
-COM = slice(0, 3)  # c̈
-MOMENTUM = slice(3, 6)  # k̇, about the CoM
-CHEST = slice(6, 9)  # angular acceleration
-PELVIS = slice(9, 12)  # angular acceleration
-SOLES = slice(12, 24)  # left linear, left angular, right linear, right angular
-ROWS = 24
-
-
-def sole_rows(foot: int) -> slice:
-    """Of one sole (0 left, 1 right): linear, then angular."""
-    return slice(12 + 6 * foot, 18 + 6 * foot)
 
 
 class ModelJoints:
@@ -85,70 +70,56 @@ class Dynamics:
         rotation: (3, 3) pelvis in odom.
         mass_matrix: (nv, nv). bias: (nv,) Coriolis, centrifugal and gravity forces.
         com: (3,) from the pelvis, in odom's axes [m].
-        jacobian: (24, nv), drift: (24,): acceleration = jacobian·v̇ + drift of what the row slices name.
+        rows: of each motion, by name.
+        jacobian: (count, nv), drift: (count,): acceleration = jacobian·v̇ + drift of the motions.
+        task_velocity: (count,) = jacobian·velocity: relative to the pelvis' linear velocity.
+        poses: (size,) of the motions that have one.
         sole_position: (2, 3) from the pelvis, in odom's axes [m]. sole_rotation: (2, 3, 3) in odom.
-        chest_rotation: (3, 3) in odom.
-        task_velocity: (24,) = jacobian·velocity: CoM and sole velocities relative to the pelvis' linear velocity.
         configuration: (4 + nj,) orientation of the pelvis in odom, then joint_position; to be written before
             ``evaluate``. rates: (3 + nj,) angular velocity of the pelvis in pelvis, then joint_velocity; likewise.
         sole_dofs: of each sole, the degrees of freedom that move it from the pelvis' place: the pelvis' rotation and
             the leg's joints. Its other columns of the Jacobian are zero, but for the pelvis' linear ones.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, motions: Motions) -> None:
+        """Evaluate these motions, among them the soles' by the name ``FEET``."""
         tables, mj = model.robot.tables, model.mj
         self.joints = ModelJoints(model)
         self._model = mj
         self._data = data = mujoco.MjData(mj)
-        self._base = model.body(tables.base)
-        self._chest = model.body(tables.chest)
-        self._soles = (model.site(tables.feet.left.sole), model.site(tables.feet.right.sole))
-        self.mass = float(mj.body_subtreemass[self._base])
+        base = model.body(tables.base)
+        soles = (model.site(tables.feet.left.sole), model.site(tables.feet.right.sole))
+        self.mass = float(mj.body_subtreemass[base])
         self.gravity = -float(mj.opt.gravity[2])
         nv = mj.nv
         self.mass_matrix = np.zeros((nv, nv))
         self.bias = np.zeros(nv)
-        self.jacobian = np.zeros((ROWS, nv))
-        self.jacobian[PELVIS, 3:6] = np.eye(3)
-        self.drift = np.zeros(ROWS)
-        self.task_velocity = np.zeros(ROWS)
+        self.rows, self._motions = motions.rows, motions
+        self.jacobian = np.zeros((motions.count, nv))
+        self.drift, self.task_velocity = np.zeros(motions.count), np.zeros(motions.count)
+        self.poses = np.zeros(motions.size)
         self.rotation = np.eye(3)
         self.joint_position: FloatArray = data.qpos[7:]
         self.joint_velocity: FloatArray = data.qvel[6:]
         self.velocity: FloatArray = data.qvel
-        self.com: FloatArray = data.subtree_com[self._base]
-        self.chest_rotation: FloatArray = data.xmat[self._chest].reshape(3, 3)
-        self.sole_position = np.zeros((2, 3))
-        self.sole_rotation = np.zeros((2, 3, 3))
+        self.com: FloatArray = data.subtree_com[base]
+        of_soles = self.poses[motions.poses[FEET]]
+        self.sole_position: FloatArray = of_soles[:6].reshape(2, 3)
+        self.sole_rotation: FloatArray = of_soles[6:].reshape(2, 3, 3)
         self.configuration: FloatArray = data.qpos[3:]
         self.rates: FloatArray = data.qvel[3:]
-        self.sole_dofs = tuple(self._moving(int(mj.site_bodyid[site])) for site in self._soles)
-        self._linear = tuple(self.jacobian[12 + 6 * i : 15 + 6 * i] for i in range(2))
-        self._angular = tuple(self.jacobian[15 + 6 * i : 18 + 6 * i] for i in range(2))
-        self._chest_rows = self.jacobian[CHEST]
-        bodies = [self._chest, *(int(mj.site_bodyid[site]) for site in self._soles)]
+        self.sole_dofs = tuple(self._moving(int(mj.site_bodyid[site])) for site in soles)
+        self._jacobians = motions.calls(data, self.jacobian)
         self._accelerations = Kernel(
             "accelerations",
             self._expressions,
-            (
-                data.qpos[3:7],
-                self.mass_matrix[:6],
-                self.bias[:6],
-                self.com,
-                data.qvel,
-                *(data.cacc[body] for body in bodies),
-                *(data.cvel[body] for body in bodies),
-                *(data.site_xpos[site] for site in self._soles),
-                *(data.site_xmat[site] for site in self._soles),
-            ),
+            (data.qpos[3:7], self.mass_matrix[:6], self.bias[:6], self.com, data.qvel, *motions.inputs(data)),
             (
                 self.rotation,
-                self.jacobian[:6],
-                self.jacobian[PELVIS],
                 self.drift,
                 self.task_velocity,
-                self.sole_position,
-                self.sole_rotation,
+                self.poses,
+                *(self.jacobian[rows] for rows in motions.in_kernel),
             ),
         )
         data.qpos[:] = 0.0
@@ -181,9 +152,8 @@ class Dynamics:
         mujoco.mj_rne(m, d, 0, self.bias)
         mujoco.mj_rnePostConstraint(m, d)  # accelerations of bodies at v̇ = 0: the Jacobians' drift
         mujoco.mj_fullM(m, d, self.mass_matrix)
-        mujoco.mj_jacBody(m, d, None, self._chest_rows, self._chest)
-        for i, site in enumerate(self._soles):
-            mujoco.mj_jacSite(m, d, self._linear[i], self._angular[i], site)
+        for write in self._jacobians:
+            write()
         self._accelerations()
 
     def nearest(self, one: int, other: int, reach: float, segment: FloatArray) -> float:
@@ -220,45 +190,9 @@ class Dynamics:
         bias: Expression,
         com: Expression,
         rates: Expression,
-        *bodies: Expression,
+        *inputs: Expression,
     ) -> Sequence[Expression]:
-        """Rotations, centroidal rows, drifts and velocities of what MuJoCo has found.
-
-        Args:
-            orientation: (4,) of the pelvis in odom.
-            mass_rows: (6, nv) of the pelvis.
-            bias: (6,) likewise.
-            com: (3,) from the pelvis.
-            rates: (nv,) velocity of the model, its linear part zero.
-            bodies: of chest, left and right foot, (6,) spatial accelerations at v̇ = 0, as MuJoCo has them: angular,
-                linear at the CoM; likewise velocities; of the left and the right sole, (3,) places and (9,) rotations.
-        """
-        chest_acceleration, left_acceleration, right_acceleration, chest_velocity, *soles = bodies
-        up = ca.vertcat(0.0, 0.0, self.gravity)  # MuJoCo accelerates the world upwards in gravity's place
+        """Rotation of the pelvis, then drifts, velocities, poses and some of the Jacobians of the motions."""
+        up = ca.vertcat(0.0, 0.0, self.gravity)
         turned = ca.vertcat(*(ca.horzcat(*row) for row in rotation.rows(parts(orientation))))
-        linear, linear_bias = mass_rows[:3, :], bias[:3]
-        lever = ca.skew(com)
-        momentum = turned @ mass_rows[3:, :] - lever @ linear
-        drift = [linear_bias / self.mass - up, turned @ bias[3:] - lever @ linear_bias]
-        drift += [chest_acceleration[:3], ca.SX.zeros(3)]
-        pushed = linear @ rates
-        velocities = [pushed / self.mass, turned @ (mass_rows[3:, :] @ rates) - lever @ pushed]
-        velocities += [chest_velocity[:3], turned @ rates[3:6]]
-        accelerations = (left_acceleration, right_acceleration)
-        for acceleration, velocity, place in zip(accelerations, soles[:2], soles[2:4], strict=True):
-            arm, turning = place - com, velocity[:3]
-            moving = velocity[3:] + ca.cross(turning, arm)
-            velocities += [moving, turning]
-            at_sole = acceleration[3:] + ca.cross(acceleration[:3], arm) + ca.cross(turning, moving)
-            drift += [at_sole - up, acceleration[:3]]
-        pelvis = ca.horzcat(ca.SX(3, 3), turned, ca.SX(3, self.velocity.size - 6))
-        rotations = (by_rows(numbers) for numbers in soles[4:])
-        return (
-            turned,
-            ca.vertcat(linear / self.mass, momentum),
-            pelvis,
-            ca.vertcat(*drift),
-            ca.vertcat(*velocities),
-            ca.horzcat(*soles[2:4]).T,
-            ca.vertcat(*rotations),
-        )
+        return turned, *self._motions.find(Base(turned, mass_rows, bias, com, rates, up, self.mass), inputs)

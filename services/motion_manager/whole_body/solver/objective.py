@@ -1,34 +1,24 @@
 """The objective of the QP: what each task wants, weighed, as one quadratic in v̇.
 
-A task i wants its acceleration Jᵢ·v̇ + dᵢ to be aᵢ. Posture tasks want accelerations of single joints. The sum
+A task i wants its acceleration Jᵢ·v̇ + dᵢ to be aᵢ. The posture wants accelerations of single joints. The sum
 
     ½·Σ wᵢ·‖Jᵢ·v̇ + dᵢ − aᵢ‖² + ½·Σ pⱼ·(v̇ⱼ − bⱼ)²  =  ½·v̇ᵀ·H·v̇ − gᵀ·v̇ + const.
 
-has H = Σ wᵢ·JᵢᵀJᵢ + diag(p) and g = Σ wᵢ·Jᵢᵀ(aᵢ − dᵢ) + p∘b (Koolen et al. 2016, section 5; gains and weights: the
-``whole_body`` table of robot.yaml). The weights are in different units: rows of angular momentum have entries of
-10 kg·m², so that a weight of 0.003 there is already as much as 0.3 on an acceleration.
+has H = Σ wᵢ·JᵢᵀJᵢ + diag(p) and g = Σ wᵢ·Jᵢᵀ(aᵢ − dᵢ) + p∘b (Koolen et al. 2016, section 5). The weights are in
+different units, as the tasks are.
 """
 
 from __future__ import annotations
 
-from math import nan
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.model.dynamics import (
-    CHEST,
-    COM,
-    MOMENTUM,
-    PELVIS,
-    ROWS,
-    SOLES,
-    Dynamics,
-    ModelJoints,
-    sole_rows,
-)
-from valor.motion_manager.whole_body.tasks.weights import TASKS
-from valor.robot.motion_tables import WholeBody
+from valor.motion_manager.whole_body.model.dynamics import Dynamics, ModelJoints
+from valor.motion_manager.whole_body.model.motion import Motions
+from valor.motion_manager.whole_body.tasks.posture import GROUPS
+from valor.motion_manager.whole_body.tasks.task import Task
 
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite whatever the tasks
 
@@ -40,54 +30,36 @@ class Objective:
         hessian: (nv, nv). gradient: (nv,). Results of ``update``.
     """
 
-    def __init__(self, table: WholeBody, joints: ModelJoints) -> None:
-        nv = joints.count + 6
-        self._groups = (
-            joints.group("left_arm", "right_arm"),
-            joints.group("torso"),
-            joints.group("left_leg", "right_leg"),
-        )
-        self._foot_weight = 0.0
-        self._swinging: tuple[int | None, float] = (None, nan)
-        self._weight_column = np.zeros((ROWS, 1))
+    def __init__(self, tasks: Sequence[Task], motions: Motions, joints: ModelJoints) -> None:
+        """Of these tasks and their motions; ``weigh`` is to be called before ``update``."""
+        nv, rows = joints.count + 6, motions.count
+        self._tasks = [(task, motions.rows[task.name]) for task in tasks]
+        self._groups = {weight: joints.group(*groups) for weight, groups in GROUPS.items()}
+        self._weight_column = np.zeros((rows, 1))
         self._weight = self._weight_column[:, 0]  # of each row
         self._posture_weight = np.zeros(joints.count)
         self._diagonal = np.full(nv, REGULARIZATION)
-        self.weigh(np.array([getattr(table, f"{task}_weight") for task in TASKS]))
         self.hessian = np.zeros((nv, nv))
         self.gradient = np.zeros(nv)
         self._hessian_diagonal = np.einsum("ii->i", self.hessian)
         self._joint_gradient = self.gradient[6:]
-        self._weighted = np.zeros((ROWS, nv))
-        self._wanted = np.zeros(ROWS)
+        self._weighted = np.zeros((rows, nv))
+        self._wanted = np.zeros(rows)
 
-    def weigh(self, weights: FloatArray) -> None:
-        """Take (7,) weights in the order of ``TASKS``; ``swing`` is to be called after."""
-        com, momentum, orientation, foot, *posture = weights.tolist()
-        rows = self._weight
-        rows[COM], rows[MOMENTUM] = com, momentum
-        rows[CHEST] = rows[PELVIS] = orientation
-        rows[SOLES] = self._foot_weight = foot
-        for group, weight in zip(self._groups, posture, strict=True):
-            self._posture_weight[group] = weight
+    def weigh(self, weights: Mapping[str, float], swinging: int | None) -> None:
+        """Take weights by their names, and the foot that swings (0 left, 1 right; None: neither)."""
+        for task, rows in self._tasks:
+            task.weigh(weights[task.weight], swinging, self._weight[rows])
+        for weight, group in self._groups.items():
+            self._posture_weight[group] = weights[weight]
         self._diagonal[6:] = REGULARIZATION + self._posture_weight
-        self._swinging = (None, nan)  # equals nothing: the next ``swing`` is taken
-
-    def swing(self, foot: int | None, weight: float) -> None:
-        """The foot that swings from now on (0 left, 1 right; None: neither), and its task's weight."""
-        if (foot, weight) == self._swinging:
-            return
-        self._swinging = (foot, weight)
-        self._weight[SOLES] = self._foot_weight
-        if foot is not None:
-            self._weight[sole_rows(foot)] = weight
 
     def update(self, dynamics: Dynamics, acceleration: FloatArray, posture: FloatArray) -> None:
         """Put the tasks together at this state.
 
         Args:
             dynamics: at it.
-            acceleration: (24,) wanted; rows as in ``dynamics``.
+            acceleration: (rows,) wanted of the tasks' motions.
             posture: (nj,) wanted of the joints [rad/s²].
         """
         weighted, wanted = self._weighted, self._wanted

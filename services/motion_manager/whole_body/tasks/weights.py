@@ -7,10 +7,9 @@ from math import log
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.whole_body.tasks.table import nominal_weights
 from valor.robot.motion_tables import WholeBody
 
-TASKS = ("com", "angular_momentum", "orientation", "foot", "arm_posture", "waist_posture", "leg_posture")
-"""As ``<task>_weight`` in the ``whole_body`` table of robot.yaml."""
 DOUBLING_TIME = 0.2  # in which a weight is at most doubled or halved [s]
 
 
@@ -18,9 +17,9 @@ class TaskWeights:
     """Weights on their way to those asked for.
 
     Attributes:
-        nominal: (7,) of robot.yaml, in the order of ``TASKS``.
-        values: (7,) in force.
-        lower, upper: (7,) between which they may be.
+        nominal: (k,) of robot.yaml, in the order of ``WEIGHTS``.
+        values: (k,) in force.
+        lower, upper: (k,) between which they may be.
     """
 
     def __init__(self, table: WholeBody, factor: float, dt: float) -> None:
@@ -31,19 +30,19 @@ class TaskWeights:
             factor: by which a weight may be greater or smaller than nominal.
             dt: a control period [s].
         """
-        self.nominal = np.array([getattr(table, f"{task}_weight") for task in TASKS])
+        self.nominal = np.array(nominal_weights(table))
         self.lower, self.upper = self.nominal / factor, self.nominal * factor
         self.values = self.nominal.copy()
         self._target = self.nominal
         self._step = float(np.exp(log(2.0) * dt / DOUBLING_TIME))
 
     def ask(self, values: FloatArray) -> None:
-        """Go to (7,) weights within the limits."""
+        """Go to (k,) weights within the limits."""
         self._target = values
 
     @property
     def asked(self) -> FloatArray:
-        """(7,) where they go."""
+        """(k,) where they go."""
         return self._target
 
     def reset(self) -> None:

@@ -1,55 +1,54 @@
-"""What balance wants of a period, in one kernel: the references, what the tasks want, and the joints' limits.
+"""What balance wants of a period, in one kernel: the references, what each task wants, and the joints' limits.
 
-The pieces are each other's modules: ``reference`` (where CoM, pelvis and chest shall be), ``dcm`` (the law), ``stance``
-(the feet to each other), ``joint_limits``. Here they are put together, with the wishes that need no module of their
-own: orientations by k_p·e − k_d·ω, momentum and feet damped, the swinging sole along its path, the joints' posture.
+The pieces are each other's modules: ``reference`` (where CoM, pelvis and chest shall be), ``dcm`` (the law), the tasks
+of ``table``, ``posture``, ``joint_limits``. Here they are put together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.kernel import Expression, Kernel, by_rows, clipped, pieces
+from valor.motion_manager.kernel import Expression, Kernel, by_rows, pieces
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.balance.reference import Begun, Feet, Led, StandReference
 from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
 from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.model.dynamics import (
-    CHEST,
-    COM,
-    MOMENTUM,
-    PELVIS,
-    ROWS,
-    SOLES,
-    ModelJoints,
-    sole_rows,
-)
+from valor.motion_manager.whole_body.model.dynamics import ModelJoints
+from valor.motion_manager.whole_body.model.motion import Motions
 from valor.motion_manager.whole_body.set_points import SetPoints
 from valor.motion_manager.whole_body.state import RobotState, UpperBodyReference
-from valor.motion_manager.whole_body.tasks import stance
-from valor.motion_manager.whole_body.walking.gait import Gait
+from valor.motion_manager.whole_body.tasks.feet import SWING, stance
+from valor.motion_manager.whole_body.tasks.orientation import ChestOrientation
+from valor.motion_manager.whole_body.tasks.posture import Posture
+from valor.motion_manager.whole_body.tasks.task import Period, Task
+from valor.motion_manager.whole_body.walking.swing import SwingPoint
 from valor.robot.description import RobotDescription
 
-CATCH_UP = 0.5  # of its velocity limit, at which a joint's set-point makes up for a distant reference at most
-
-_STATE = (6, 18, 3, 3, 3, 24, 9, 9)  # soles' places and rotations, CoM, DCM, pelvis' velocity, of tasks, rotations
 _MEMORY = (1, 3, 9, 9, 3, 3)  # of ``Begun``, then the law's integral, then the stance that is kept
 _SHIFT = slice(4, 7)  # of it: the first row of ``Begun.shift``
-_SWING = (3, 9, 6, 6)  # of ``SwingPoint``
 
 
-class Wishes:
+class GaitReference(Protocol):
+    """Where DCM and feet shall be while the robot steps (``walking.gait``)."""
+
+    active: bool  # whether it steps; the rest is of meaning only then
+    dcm: FloatArray  # (3,) of a robot with nominal arms, in odom [m]
+    vrp: FloatArray  # (3,) likewise [m]
+    swinging: int | None  # the foot in the air
+    swing: SwingPoint  # where it shall be
+
+
+class DesiredAccelerations:
     """What is wanted.
 
     Attributes:
-        acceleration: (24,) of the tasks' rows, as in ``dynamics``.
+        acceleration: (count,) of the tasks' motions.
         posture: (nj,) of the joints [rad/s²].
         lower, upper: (nj,) limits of the joints' accelerations [rad/s²].
         velocity: (nj,) of the joints, as the QP's accelerations change it [rad/s].
@@ -63,10 +62,12 @@ class Wishes:
         robot: RobotDescription,
         joints: ModelJoints,
         *,
+        tasks: Sequence[Task],
+        motions: Motions,
         law: DcmLaw,
         upper_body: UpperBodyKinematics,
         pelvis: PelvisReference,
-        legs: npt.NDArray[np.intp],
+        legs: Sequence[int],
         set_points: SetPoints,
     ) -> None:
         """Build the kernel.
@@ -74,6 +75,8 @@ class Wishes:
         Args:
             robot: its tables.
             joints: of the model.
+            tasks: that want something.
+            motions: theirs.
             law: of the DCM.
             upper_body: at the commanded posture.
             pelvis: as it is led.
@@ -81,28 +84,30 @@ class Wishes:
             set_points: of the joints.
         """
         nj = joints.count
-        self._table, self._walking, self._law = robot.tables.whole_body, robot.tables.walking, law
-        self._places, self._legs = joints.places, legs.tolist()
+        self._tasks, self._motions, self._law = tasks, motions, law
+        self._places, self._legs = joints.places, list(legs)
         self._integrated = set_points.integrated
         self._pelvis, self._upper_body = pelvis, upper_body
         self._reference = StandReference(robot, law.omega, upper_body.nominal_com_height)
-        self._limits = JointLimits(robot, self._table, joints.places)
-        self._catch_up = ca.DM(CATCH_UP * robot.velocity_limit[joints.places])
-        self._state = np.zeros(sum(_STATE))
+        self._limits = JointLimits(robot, robot.tables.whole_body, joints.places)
+        self._posture = Posture(robot, joints.places, self._legs)
+        # Soles' places and rotations, CoM, DCM, pelvis' velocity; velocities and poses of the motions.
+        self._sizes = (6, 18, 3, 3, 3, motions.count, motions.size)
+        self._state = np.zeros(sum(self._sizes))
         self._memory, self._next = np.zeros(sum(_MEMORY)), np.zeros(sum(_MEMORY))
         self._led = np.zeros(15)
         self._legs_led, self._legs_start = np.zeros(len(self._legs)), np.zeros(len(self._legs))
         self._gait = np.zeros(7)  # whether it steps, DCM, VRP
-        self._swing = np.zeros(2 + sum(_SWING))  # which foot swings, then where it shall be
+        self._swing = np.zeros(2 + sum(SWING))  # which foot swings, then where it shall be
         self._asked = np.zeros((3, nj))
         self._measured = np.zeros((2, nj))
         self._dt = np.zeros(1)
-        self.acceleration, self.posture = np.zeros(ROWS), np.zeros(nj)
+        self.acceleration, self.posture = np.zeros(motions.count), np.zeros(nj)
         self.lower, self.upper, self.velocity = np.zeros(nj), np.zeros(nj), np.zeros(nj)
         self._told = np.zeros((4, 3))
         self.dcm = self.shift = self.centre_dcm = self.centre_vrp = np.zeros(3)
         self._evaluate = Kernel(
-            "wishes",
+            "desired",
             self._expressions,
             (
                 self._state,
@@ -148,18 +153,19 @@ class Wishes:
             ca.DM(self._upper_body.com_displacement()),
             ca.DM(self._upper_body.chest_rotation()),
         )
+        chest = state.dynamics.poses[self._motions.poses[ChestOrientation.name]].reshape(3, 3)
         begun = self._reference.begin(
             feet,
             led,
             ca.DM(state.com_in_odom),
             ca.DM(state.pelvis_rotation_in_odom),
-            ca.DM(state.dynamics.chest_rotation),
+            ca.DM(chest),
         )
-        self._memory[:] = np.array(ca.vertcat(_numbers(begun), ca.DM.zeros(3), stance.stance(feet)))[:, 0]
+        self._memory[:] = np.array(ca.vertcat(_numbers(begun), ca.DM.zeros(3), stance(feet)))[:, 0]
         self.shift = self._memory[_SHIFT].copy()
         self._legs_start[:] = state.joint_position[self._places][self._legs]
 
-    def update(self, state: RobotState, gait: Gait, reference: UpperBodyReference, dt: float) -> None:
+    def update(self, state: RobotState, gait: GaitReference, reference: UpperBodyReference, dt: float) -> None:
         """A period.
 
         Args:
@@ -177,8 +183,7 @@ class Wishes:
                 state.dcm_in_odom,
                 state.pelvis_linear_velocity_in_odom,
                 dynamics.task_velocity,
-                dynamics.chest_rotation.ravel(),
-                dynamics.rotation.ravel(),
+                dynamics.poses,
             ),
             out=self._state,
         )
@@ -208,30 +213,21 @@ class Wishes:
     def _expressions(self, *symbols: Expression) -> Sequence[Expression]:
         state, memory, led, arms_com, chest, legs_led, legs_start, gait, swing, asked, measured, *own, dt = symbols
         position, velocity = own
-        soles, rotations, com, dcm, moving, rates, *turned = pieces(state, _STATE)
+        soles, rotations, com, dcm, moving, rates, poses = pieces(state, self._sizes)
         feet = Feet(by_rows(soles), by_rows(rotations))
         time, support, shift, offsets, integral, kept = pieces(memory, _MEMORY)
         begun = Begun(time, support, by_rows(shift), by_rows(offsets))
         turn, turning, com_led = pieces(led, (9, 3, 3))
         leading = Led(by_rows(turn), turning, com_led, arms_com - ca.DM(self._upper_body.nominal_com), chest)
         begun, reference = self._reference.advance(begun, feet, leading, (gait[0], gait[1:4], gait[4:]), dt)
-
-        table = self._table
-        velocities = rates + _with_pelvis(moving)
-        wanted = ca.SX(ROWS, 1)
-        wanted[MOMENTUM] = -table.angular_momentum_gain * velocities[MOMENTUM]
         point, integral = self._law.repellent_point(dcm, reference.dcm, reference.vrp, integral, dt)
-        wanted[COM] = self._law.acceleration(com, point)
-        for rows, desired, actual in ((CHEST, reference.chest, turned[0]), (PELVIS, reference.pelvis, turned[1])):
-            wanted[rows] = table.orientation_stiffness * ca.vertcat(*rotation.error(desired, by_rows(actual)))
-            wanted[rows] += table.orientation_damping * (reference.turning - velocities[rows])
-        wanted[SOLES] = -table.foot_damping * velocities[SOLES]
-        kept = ca.if_else(gait[0], stance.stance(feet), kept)  # that of the last step
-        wanted[SOLES] += ca.if_else(gait[0], 0.0, stance.hold(feet, kept, table.stance_stiffness))
-        for foot in range(2):
-            rows = sole_rows(foot)
-            along = self._along(foot, feet, swing[2:], velocities[rows])
-            wanted[rows] = ca.if_else(swing[foot], along, wanted[rows])
+        kept = ca.if_else(gait[0], stance(feet), kept)  # that of the last step
+        period = Period(reference, self._law, com, point, feet, kept, gait[0], swing[:2], swing[2:])
+        velocities = rates + ca.sparsify(ca.DM(self._motions.carried)) @ moving
+        rows, places = self._motions.rows, self._motions.poses
+        wanted = [
+            task.acceleration(period, velocities[rows[task.name]], poses[places[task.name]]) for task in self._tasks
+        ]
 
         integrated = ca.DM(self._integrated.astype(float))
         position = ca.if_else(integrated, position, measured[0, :].T)
@@ -239,32 +235,10 @@ class Wishes:
         lower, upper = self._limits.acceleration(position, velocity)
         told = ca.horzcat(reference.dcm, reference.shift, reference.centre_dcm, reference.centre_vrp).T
         legs = legs_start + reference.legs_blend * (legs_led - legs_start)
-        posture = self._posture(asked, legs, position, velocity)
-        return ca.vertcat(_numbers(begun), integral, kept), told, wanted, posture, lower, upper, velocity
-
-    def _along(self, foot: int, feet: Feet, swing: Expression, velocity: Expression) -> Expression:
-        """(6,) of the swinging sole: a_ref + k_p·(x_ref − x) + k_d·(v_ref − v)."""
-        place, turn, rate, acceleration = pieces(swing, _SWING)
-        away = place - feet.positions[foot, :].T
-        turned = rotation.error(by_rows(turn), feet.rotations[3 * foot : 3 * foot + 3, :])
-        stiffness, damping = self._walking.foot_stiffness, self._walking.foot_damping
-        return acceleration + stiffness * ca.vertcat(away, *turned) + damping * (rate - velocity)
-
-    def _posture(self, asked: Expression, legs: Expression, position: Expression, velocity: Expression) -> Expression:
-        """(nj,) q̈_ref + k_d·(q̇_ref + clip(k_p/k_d·(q_ref − q)) − q̇)."""
-        stiffness, damping = self._table.posture_stiffness, self._table.posture_damping
-        places, rate, acceleration = (ca.SX(asked[i, :].T) for i in range(3))
-        places[self._legs], rate[self._legs], acceleration[self._legs] = legs, 0.0, 0.0
-        catch_up = clipped(stiffness / damping * (places - position), -self._catch_up, self._catch_up)
-        return acceleration + damping * (rate + catch_up - velocity)
+        posture = self._posture.acceleration(asked, legs, position, velocity)
+        return ca.vertcat(_numbers(begun), integral, kept), told, ca.vertcat(*wanted), posture, lower, upper, velocity
 
 
 def _numbers(begun: Begun) -> Expression:
     """(22,) numbers, one field after another, row by row."""
     return ca.vertcat(*(ca.vec(field.T) for field in begun))
-
-
-def _with_pelvis(velocity: Expression) -> Expression:
-    """(24,) what the pelvis' linear velocity (3,) adds to the tasks' velocities."""
-    still = ca.SX.zeros(3)
-    return ca.vertcat(velocity, still, still, still, velocity, still, velocity, still)

@@ -1,0 +1,67 @@
+"""Chest and pelvis turned as the reference has them.
+
+    ω̇ = k_p·e + k_d·(ω_ref − ω)
+
+with e = sin(θ)·axis of the rotation from the actual to the desired one (``rotation.error``). Weight of both:
+``orientation_weight``; k_p: ``orientation_stiffness``, k_d: ``orientation_damping``.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from valor.common import rotation
+from valor.motion_manager.kernel import Expression, by_rows
+from valor.motion_manager.whole_body.balance.reference import Reference
+from valor.motion_manager.whole_body.model.motion import BodyTurn, Motion, PelvisTurn
+from valor.motion_manager.whole_body.tasks.task import Period, Task
+from valor.robot.model import Model
+
+
+class _Orientation(Task):
+    """ω̇ [rad/s²]."""
+
+    weight = "orientation"
+
+    @staticmethod
+    def desired(reference: Reference) -> Expression:
+        """(3, 3)."""
+        raise NotImplementedError
+
+    def acceleration(self, period: Period, velocity: Expression, pose: Expression) -> Expression:
+        """(3,) ω̇."""
+        table, reference = self.robot.tables.whole_body, period.reference
+        wanted = table.orientation_stiffness * ca.vertcat(*rotation.error(self.desired(reference), by_rows(pose)))
+        return wanted + table.orientation_damping * (reference.turning - velocity)
+
+
+class ChestOrientation(_Orientation):
+    """Of the chest."""
+
+    name = "chest"
+
+    @staticmethod
+    def motion(model: Model) -> Motion:
+        """Of the chest."""
+        return BodyTurn(model, model.robot.tables.chest)
+
+    @staticmethod
+    def desired(reference: Reference) -> Expression:
+        """(3, 3)."""
+        return reference.chest
+
+
+class PelvisOrientation(_Orientation):
+    """Of the pelvis."""
+
+    name = "pelvis"
+
+    @staticmethod
+    def motion(model: Model) -> Motion:
+        """Of the pelvis."""
+        return PelvisTurn()
+
+    @staticmethod
+    def desired(reference: Reference) -> Expression:
+        """(3, 3)."""
+        return reference.pelvis
