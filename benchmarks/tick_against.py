@@ -24,8 +24,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy
 sys.path.insert(0, os.environ.get("TICK_CHECKOUT", str(Path(__file__).parents[1])))  # before the installed one
 
 import numpy as np
-from tests.unit.whole_body.closed_loop import ClosedLoop, load_robot
 
+from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.messages import Proprioceptor
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
