@@ -13,6 +13,7 @@ from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
+from valor.comms_manager.hardware.can_port import CanPort
 from valor.comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
 from valor.devices import can_frames
@@ -35,7 +36,7 @@ class Bench:
     def __init__(self, name: str) -> None:
         settings = Settings(robot=ROBOT.folder, ros_domain_id=1, ports={"can0": f"virtual:{name}"})
         self.driver = SeriesElastic("legs", DeviceContext(Instance("x", Path()), settings, ROBOT))
-        self.driver._bus = can.Bus(interface="virtual", channel=name)
+        self.driver._bus = CanPort(lambda: can.Bus(interface="virtual", channel=name))
         self.far = can.Bus(interface="virtual", channel=name)
         self.clock = 0
 

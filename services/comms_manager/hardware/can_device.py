@@ -6,7 +6,6 @@ over when all units that were heard lately have answered, or when the time for t
 
 from __future__ import annotations
 
-import contextlib
 import select
 import threading
 import time
@@ -15,7 +14,7 @@ from collections.abc import Mapping
 
 import can
 
-from valor.common.errors import ConfigurationError
+from valor.comms_manager.hardware.can_port import CanPort
 from valor.comms_manager.hardware.condition import Condition, Limits, require_identity
 from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault, UnitRecord
 from valor.devices import can_frames
@@ -29,9 +28,7 @@ ABSENT_AFTER = 10  # SYNCs without an answer, after which nobody waits for a uni
 ANSWER_TIME = 0.1  # of a request [s]
 TRIES = 20  # of a request, at start
 TEND_EVERY = 0.1  # units that are not as they should be are asked [s]
-REOPEN_EVERY = 0.5  # a bus that fails is opened anew [s]
 _IDLE = 0.02  # longest sleep of the thread [s]
-_STRANGE = 64  # frames in a row that are none, after which it is the bus that fails
 
 
 class CanUnit:
@@ -63,7 +60,7 @@ class CanDevice(Device):
         self.records = tuple(unit.record for unit in units.values())
         self.gathered = threading.Event()
         self._number, self._length = bus, length
-        self._bus: can.BusABC | None = None
+        self._bus: CanPort | None = None
         self._states_wanted = False
         self._counter = 0
         self._synced = 0  # when SYNC was sent last, monotonic [ns]
@@ -72,7 +69,6 @@ class CanDevice(Device):
         self._replies: dict[int, Reply] = {}
         self._tended = 0.0
         self._failure = ""  # of the bus itself, now
-        self._reopened = 0.0
         self._now: int | None = None  # ``elapsed`` as of this SYNC, if a unit has said [ns]
         self.elapsed = 0
 
@@ -92,7 +88,9 @@ class CanDevice(Device):
 
     def find(self) -> None:
         """Ask every unit who it is, and get a first state of each."""
-        self._bus = self._open()
+        self._bus = CanPort(
+            lambda: open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
+        )
         for unit in self.units.values():
             self._check_identity(unit, self._ask(unit, Code.IDENTIFY, f"expected {_described(unit.identity)}"))
         deadline = time.monotonic() + TRIES * ANSWER_TIME
@@ -105,13 +103,10 @@ class CanDevice(Device):
                 self._listen(ANSWER_TIME)
             self._finish()
 
-    def _open(self) -> can.BusABC:
-        return open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
-
     def close(self) -> None:
         """Leave the bus."""
         if self._bus is not None:
-            self._bus.shutdown()
+            self._bus.close()
             self._bus = None
         super().close()
 
@@ -171,7 +166,7 @@ class CanDevice(Device):
         except (can.CanError, OSError) as error:  # the bus itself fails: no unit on it can be reached
             self._tell_failure(f"CAN bus {self._number}: {error}")
             time.sleep(_IDLE)
-            self._reopen()
+            self._bus.reopen()
 
     def _tell_failure(self, failure: str) -> None:
         """Tell of the bus what is wrong with it, for every unit on it; empty: nothing any more."""
@@ -182,22 +177,6 @@ class CanDevice(Device):
         failing = [Ailment(each.unit, Fault.UNPLUGGED, self._failure) for each in self.records if self._failure]
         units = [ailment for each in self.units.values() for part in each.ailments for ailment in part]
         self.tell([*failing, *units])
-
-    def _reopen(self) -> None:
-        """Open the bus anew, as an adapter that was plugged in again needs it; the old one is kept until that is done.
-
-        The units on it had their power from elsewhere: those that lost it say so.
-        """
-        now = time.monotonic()
-        if now - self._reopened < REOPEN_EVERY:
-            return
-        self._reopened = now
-        assert self._bus is not None
-        with contextlib.suppress(ConfigurationError):  # not yet
-            bus = self._open()
-            with contextlib.suppress(can.CanError, OSError):
-                self._bus.shutdown()
-            self._bus = bus
 
     def _is_over(self) -> bool:
         return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
@@ -222,22 +201,8 @@ class CanDevice(Device):
     def _listen(self, timeout: float) -> None:
         """Take in what is on the bus; wait for the first frame."""
         assert self._bus is not None
-        strange = 0
-        while True:
-            try:
-                message = self._bus.recv(timeout)
-            except can.CanOperationError:  # no CAN frame: on multicast anybody may speak
-                strange += 1
-                if strange > _STRANGE:
-                    raise
-                continue
-            if message is None:
-                return
-            timeout = 0.0
-            kind = message.arbitration_id & can_frames.KIND
-            if kind not in (can_frames.STATE, can_frames.REPLY):
-                continue
-            unit = self.units.get(message.arbitration_id & can_frames.UNIT)
+        for kind, number, message in self._bus.receive(timeout):
+            unit = self.units.get(number)
             if unit is None:
                 continue
             if kind == can_frames.STATE:
