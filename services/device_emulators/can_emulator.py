@@ -1,21 +1,17 @@
-"""What the emulated devices on CAN buses have in common: who they are, when they answer, and how answers go wrong."""
+"""What the emulated devices on CAN buses have in common: who they are, and when they answer."""
 
 from __future__ import annotations
 
-import random
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Mapping
 
 import can
 
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
+from valor.device_emulators.faulty_line import FaultyLine
 from valor.device_emulators.robot import SimulatedRobot
 from valor.devices import can_frames
 from valor.devices.can_frames import Code, Identity
-
-LATENESS = 0.03  # of late answers [s]
-SLOWNESS = 10  # a slow unit answers one of so many
 
 
 class CanEmulator(Emulator):
@@ -27,9 +23,7 @@ class CanEmulator(Emulator):
         self._bus = bus
         self._identities = identities
         self._names = {unit: str(unit) for unit in identities}
-        self._late: deque[tuple[float, can.Message]] = deque()
-        self._random = random.Random(0)
-        self._syncs = 0
+        self._line = FaultyLine(bus.send, faults, lambda frame: bytes(frame.data), _with_data)
         self._dead: set[int] = set()
 
     def files(self) -> tuple[int, ...]:
@@ -55,19 +49,17 @@ class CanEmulator(Emulator):
                 break
             self._hear(message, now, robot)
         self._pass_time(now, robot)
-        while self._late and self._late[0][0] <= now:
-            self._bus.send(self._late.popleft()[1])
+        self._line.flush(now)
 
     def _hear(self, message: can.Message, now: float, robot: SimulatedRobot) -> None:
         identifier = message.arbitration_id
         if identifier == can_frames.SYNC:
             counter = can_frames.read_small(message)
             if counter is not None:
-                self._syncs += 1
                 units = [unit for unit in self._identities if unit not in self._dead]
                 # All at once: whoever gathers them wakes up for the first, and finds the others there.
                 for unit, state in [(unit, self._state(unit, counter, now, robot)) for unit in units]:
-                    self._answer(unit, state, now)
+                    self._line.send(self._names[unit], can_frames.frame(can_frames.STATE + unit, state), now)
             return
         unit = identifier & can_frames.UNIT
         if unit not in self._identities or unit in self._dead:
@@ -81,25 +73,6 @@ class CanEmulator(Emulator):
                     self._bus.send(can_frames.reply(unit, code, done, self._identities[unit]))
         elif kind == can_frames.COMMAND:
             self._command(unit, message, now, robot)
-
-    def _answer(self, unit: int, data: bytes, now: float) -> None:
-        """Send a STATE, unless a fault has it that it goes otherwise."""
-        name, identifier, active = self._names[unit], can_frames.STATE + unit, self.faults.active
-        if active(name, EmulatedFault.SILENT, now):
-            return
-        if active(name, EmulatedFault.SLOW, now) and self._syncs % SLOWNESS:
-            return
-        if active(name, EmulatedFault.GARBAGE, now):
-            data = self._random.randbytes(len(data))
-        elif active(name, EmulatedFault.BAD_CHECKSUM, now):
-            data = data[:-1] + bytes([data[-1] ^ 0x5A])
-        message = can_frames.frame(identifier, data)
-        if active(name, EmulatedFault.LATE, now):
-            self._late.append((now + LATENESS, message))
-            return
-        self._bus.send(message)
-        if active(name, EmulatedFault.DUPLICATE, now):
-            self._bus.send(message)
 
     @abstractmethod
     def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
@@ -118,3 +91,7 @@ class CanEmulator(Emulator):
 
     def _pass_time(self, now: float, robot: SimulatedRobot) -> None:
         """What happens without anything being heard."""
+
+
+def _with_data(frame: can.Message, data: bytes) -> can.Message:
+    return can_frames.frame(frame.arbitration_id, data)

@@ -12,7 +12,7 @@ from valor.device_emulators.dynamixel_bus import DynamixelBus
 from valor.device_emulators.dynamixel_servo import Servo
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
-from valor.device_emulators.serial_port import FaultyLine, SerialPort
+from valor.device_emulators.serial_port import SerialPort, line
 from valor.devices.dynamixel import MODELS, Dynamixel, DynamixelServo, OperatingMode
 from valor.devices.ports import serial_port
 from valor.robot.description import RobotDescription
@@ -52,7 +52,7 @@ class DynamixelEmulator(Emulator):
         self._servos = [_JointServo(each, robot) for each in table.servos]
         super().__init__(name, FaultSwitches((*(servo.name for servo in self._servos), ADAPTER)))
         self._port = SerialPort(serial_port(instance, settings, name))
-        self._line = FaultyLine(self._port, self.faults)
+        self._line = line(self._port, self.faults)
         self._bus = DynamixelBus([each.servo for each in self._servos])
         self._felt = -math.inf
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import random
-from collections import deque
 from dataclasses import dataclass, field, replace
 
 import can
@@ -14,6 +12,7 @@ from valor.common.arrays import FloatArray
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches, NoSuchFaultError
+from valor.device_emulators.faulty_line import FaultyLine
 from valor.device_emulators.robot import Places, SimulatedRobot
 from valor.devices import hdt_bus
 from valor.devices.hdt_bus import Fault, SegmentState, Setpoints
@@ -23,10 +22,10 @@ from valor.robot.description import RobotDescription
 from valor.simulation.gears import Gears
 
 SUPPLY = 48.0  # [V]
-LATENESS = 0.03  # [s]
 _AMBIENT, _HEATING, _WARMING = 25.0, 0.05, 60.0  # [°C], [°C/(N·m)²], time constant of it [s]
 _HOT, _LOW = 90.0, 40.0  # of a fault [°C], [V]
 _JUMP = 0.5  # [rad]
+_GARBAGE = 7  # bytes, which are no state
 # CAN controllers throw frames with a wrong checksum away themselves: their unit is silent.
 _KINDS = frozenset(EmulatedFault) - {EmulatedFault.BAD_CHECKSUM}
 _MODULE_KINDS = frozenset({EmulatedFault.SILENT, EmulatedFault.OVER_TEMPERATURE, EmulatedFault.ENCODER_JUMP})
@@ -60,6 +59,7 @@ class _Segment:
         joints: their places in every joint vector.
         names: of the joints.
         first: of its limb.
+        line: on which it answers.
         setpoints: obeyed now; None: they hold where they were switched on.
         frame: count of the frame that brought them.
         heard: when that was [s].
@@ -73,6 +73,7 @@ class _Segment:
     joints: Places
     names: tuple[str, ...]
     first: bool
+    line: FaultyLine[can.Message]
     temperature: FloatArray
     setpoints: Setpoints | None = None
     frame: int = 0
@@ -106,9 +107,8 @@ class HdtModules(Emulator):
             places, joints = robot.group_indices(limb.group), groups[limb.group]
             for part in hdt_bus.segments(len(joints)):
                 warm, first = np.full(part.stop - part.start, _AMBIENT), part.start == 0
-                self._segments.append(_Segment(limb.group, places[part], tuple(joints[part]), first, warm))
-        self._late: deque[tuple[float, can.Message]] = deque()
-        self._random = random.Random(0)
+                line = FaultyLine(self._bus.send, self.faults, lambda _: bytes(_GARBAGE), _with_data)
+                self._segments.append(_Segment(limb.group, places[part], tuple(joints[part]), first, line, warm))
 
     def files(self) -> tuple[int, ...]:
         """The bus."""
@@ -138,8 +138,8 @@ class HdtModules(Emulator):
                 segment.heard = math.inf  # once
                 zero = np.zeros(len(segment.joints))
                 self._command(segment, replace(segment.setpoints, velocity=zero), robot)
-        while self._late and self._late[0][0] <= now:
-            self._bus.send(self._late.popleft()[1])
+        for segment in self._segments:
+            segment.line.flush(now)
 
     def _receive(self) -> can.Message | None:
         while True:
@@ -181,20 +181,7 @@ class HdtModules(Emulator):
     def _answer(self, number: int, segment: _Segment, now: float, robot: SimulatedRobot) -> None:
         segment.sequence = (segment.sequence + 1) & 0xFFFF
         state = self._measure(segment, now, robot)
-        if self._fails(segment, EmulatedFault.SILENT, now):
-            return
-        if self._fails(segment, EmulatedFault.SLOW, now) and segment.sequence % 10:
-            return
-        frame = hdt_bus.state(number, state)
-        if self._fails(segment, EmulatedFault.GARBAGE, now):
-            frame.data = bytearray(self._random.randbytes(7))
-            frame.dlc = 7
-        copies = 2 if self._fails(segment, EmulatedFault.DUPLICATE, now) else 1
-        for _ in range(copies):
-            if self._fails(segment, EmulatedFault.LATE, now):
-                self._late.append((now + LATENESS, frame))
-            else:
-                self._bus.send(frame)
+        segment.line.send(segment.limb, hdt_bus.state(number, state), now)
 
     def _measure(self, segment: _Segment, now: float, robot: SimulatedRobot) -> SegmentState:
         joints, measured = segment.joints, robot.measured
@@ -247,3 +234,9 @@ class HdtModules(Emulator):
 
     def _either(self, limb: str, module: str, fault: EmulatedFault, now: float) -> bool:
         return self.faults.active(limb, fault, now) or self.faults.active(module, fault, now)
+
+
+def _with_data(frame: can.Message, data: bytes) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.arbitration_id, data=data, is_extended_id=False, is_fd=True, bitrate_switch=True
+    )

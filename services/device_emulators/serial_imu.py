@@ -9,7 +9,7 @@ from valor.common.instance import Instance, Settings
 from valor.common.messages import Proprioceptor
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.robot import SimulatedRobot
-from valor.device_emulators.serial_port import FaultyLine, SerialPort
+from valor.device_emulators.serial_port import SerialPort, line
 from valor.devices.ports import serial_port
 
 KINDS = frozenset(EmulatedFault) - {EmulatedFault.ENCODER_JUMP, EmulatedFault.UNDER_VOLTAGE}
@@ -45,7 +45,7 @@ class SerialImuEmulator(Emulator):
         """``kinds``: of faults that it can have."""
         super().__init__(name, FaultSwitches((name,), kinds))
         self._port = SerialPort(serial_port(instance, settings, name))
-        self._line = FaultyLine(self._port, self.faults)
+        self._line = line(self._port, self.faults)
         self._sensor = self._new_sensor()
 
     @abstractmethod

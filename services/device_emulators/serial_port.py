@@ -1,19 +1,16 @@
-"""The device's end of a serial line: a pseudo-terminal that can be unplugged, and what goes wrong with bytes on it."""
+"""The device's end of a serial line: a pseudo-terminal that can be unplugged."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import random
 import select
 import tty
-from collections import deque
 from pathlib import Path
 
-from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.emulator import FaultSwitches
+from valor.device_emulators.faulty_line import FaultyLine
 
-LATENESS = 0.03  # of late answers [s]
-SLOWNESS = 10  # a slow unit's packets get through one in so many
 _READ = 4096
 
 
@@ -94,40 +91,6 @@ class SerialPort:
         self._readable.close()
 
 
-class FaultyLine:
-    """Sends packets over a port as soundly or as badly as the faults of the unit that they come from will have it."""
-
-    def __init__(self, port: SerialPort, faults: FaultSwitches) -> None:
-        self._port = port
-        self._faults = faults
-        self._random = random.Random(0)
-        self._late: deque[tuple[float, bytes]] = deque()
-        self._slow_count = 0
-
-    def send(self, unit: str, packet: bytes, now: float) -> None:
-        """Send a unit's packet at ``now`` [s]."""
-
-        def active(fault: EmulatedFault) -> bool:
-            return self._faults.active(unit, fault, now)
-
-        if active(EmulatedFault.SILENT):
-            return
-        if active(EmulatedFault.SLOW):
-            self._slow_count += 1
-            if self._slow_count % SLOWNESS:
-                return
-        if active(EmulatedFault.GARBAGE):
-            packet = self._random.randbytes(len(packet))
-        elif active(EmulatedFault.BAD_CHECKSUM):
-            packet = packet[:-1] + bytes((packet[-1] ^ 0x5A,))
-        if active(EmulatedFault.DUPLICATE):
-            packet += packet
-        if active(EmulatedFault.LATE):
-            self._late.append((now + LATENESS, packet))
-        else:
-            self._port.write(packet)
-
-    def flush(self, now: float) -> None:
-        """Send what is due at ``now`` [s]."""
-        while self._late and self._late[0][0] <= now:
-            self._port.write(self._late.popleft()[1])
+def line(port: SerialPort, faults: FaultSwitches) -> FaultyLine[bytes]:
+    """A line on which packets of a device's units go to its driver."""
+    return FaultyLine(port.write, faults, lambda packet: packet, lambda _, data: data)

@@ -62,8 +62,8 @@ class Bench:
 
     @property
     def position(self) -> FloatArray:
-        assert isinstance(self.hdt.measured, JointMeasurement)
-        return self.hdt.measured.position
+        assert isinstance(self.hdt.joint_state, JointMeasurement)
+        return self.hdt.joint_state.position
 
     def place(self, joint: str) -> int:
         return int(np.flatnonzero(self.hdt.joints == ROBOT.index[joint])[0])
@@ -132,8 +132,8 @@ def led(running: RunningInstance) -> Iterator[Bench]:
 
         wait_until(heard, PATIENCE, "the first commands are heard")
         begun = {name: _first_position(first[name], name) for name in LIMBS}
-        assert isinstance(hdt.measured, JointMeasurement)
-        there = hdt.measured.position
+        assert isinstance(hdt.joint_state, JointMeasurement)
+        there = hdt.joint_state.position
         for limb, part in zip(
             LIMBS, np.split(there, np.cumsum([len(begun[name]) for name in LIMBS])[:-1]), strict=True
         ):

@@ -19,7 +19,7 @@ from valor.comms_manager.hardware.dynamixel_port import Answer, DynamixelError, 
 from valor.device_emulators.dynamixel_bus import DynamixelBus, crc16, encode, stuffed, unstuffed
 from valor.device_emulators.dynamixel_servo import Servo
 from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
-from valor.device_emulators.serial_port import FaultyLine, SerialPort
+from valor.device_emulators.serial_port import SerialPort, line
 from valor.devices.dynamixel import MODELS, P_SERIES, X_SERIES, ControlTable, HardwareError, Item, OperatingMode
 
 TABLES = (X_SERIES, P_SERIES)
@@ -33,7 +33,7 @@ class Bus:
         self.servos = [Servo(i + 1, MODELS[model], 46) for i, model in enumerate(models)]
         self.bus = DynamixelBus(self.servos)
         self.faults = FaultSwitches(tuple(str(servo.id) for servo in self.servos))
-        self.line = FaultyLine(self.port, self.faults)
+        self.line = line(self.port, self.faults)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
