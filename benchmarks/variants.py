@@ -25,7 +25,7 @@ from trials import TRIALS, Bench, Values, told
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.topics import DEVICES, PELVIS, TOPICS
+from valor.common.topics import DEVICES, JOINT_SETPOINTS, TOPICS
 from valor.robot.description import RobotDescription
 from valor.valorctl.profile import Profile
 
@@ -83,7 +83,7 @@ def expected_topics(profile: str, robot: RobotDescription) -> set[str]:
                  .suiting(robot).table}  # fmt: skip
     always = {each.name for each in TOPICS if each.owner in processes and each.rate is not None}
     kept = {each.name for each in TOPICS if each.record_every}
-    ours = always & kept - {PELVIS.name} | ({DEVICES.name} if profile == "hardware" else set())
+    ours = always & kept | {JOINT_SETPOINTS.name} | ({DEVICES.name} if profile == "hardware" else set())
     return {f"/bifrost/{name}" for name in ours} | set(ROS_TOPICS)
 
 

@@ -121,6 +121,11 @@ class Intake:
         return self.socket
 
     @property
+    def sequence(self) -> int:
+        """Of the newest message let through, by its publisher's count; 0: none yet."""
+        return self._stream.sequence
+
+    @property
     def publishers(self) -> tuple[str, ...]:
         """Names of the nodes that it is connected to, without those that are known to be gone."""
         return tuple(peer.node for peer in self._watch.peers if peer.alive and peer.entry.endpoint in self._connected)

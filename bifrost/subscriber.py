@@ -89,6 +89,11 @@ class Subscriber(Generic[M]):
         return self._intake.rejected + self._undecodable
 
     @property
+    def sequence(self) -> int:
+        """Of the newest message taken in, by the count of the publisher heard last; 0: none yet."""
+        return self._intake.sequence
+
+    @property
     def bytes_received(self) -> int:
         """Of all messages since start, envelopes included, encryption not [B]."""
         return self._intake.bytes_received

@@ -15,19 +15,20 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from types import FrameType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import bifrost
 from valor.common import membership
 from valor.common.errors import ConfigurationError
 from valor.common.floods import Floods, Input, TopicFloods
+from valor.common.freshness import Freshness
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
 from valor.common.priority import take_cores, take_priority, take_turns
 from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, Process
-from valor.common.topics import STATISTICS
+from valor.common.topics import STATISTICS, Topic
 from valor.common.trace import Tracer
 from valor.robot.description import RobotDescription
 
@@ -102,6 +103,7 @@ class StatisticsPublisher:
         self.drops = self.rejected = 0
         self._count: Callable[[], tuple[int, int]] | None = None
         self._floods: tuple[Floods | TopicFloods, ...] = ()
+        self._freshness: Freshness | None = None
         self._last_cycle = 0.0
         self._reset(time.perf_counter())
 
@@ -131,6 +133,15 @@ class StatisticsPublisher:
     def watch(self, inputs: Iterable[Input], ros: TopicFloods | None = None) -> None:
         """Be ``degraded`` in place of ``ready`` while a sender floods one of these, and name it."""
         self._floods = (Floods(inputs), *((ros,) if ros else ()))
+
+    def depend(self, inputs: Mapping[Topic[Any], bifrost.Subscriber[Any]], robot_time: Callable[[], int]) -> None:
+        """While ``ready`` with nothing else to say, name those of these topics that do not come as they should.
+
+        Args:
+            inputs: a subscriber of each topic that the service lives by.
+            robot_time: the newest that the service knows [ns].
+        """
+        self._freshness = Freshness(inputs, 1.0 / self._control_period, robot_time)
 
     def cycle(self, began: float, waited: float = 0.0) -> None:
         """Count a cycle that began at ``began`` [``time.perf_counter()``, s; Linux: the monotonic clock] and ends now.
@@ -164,6 +175,8 @@ class StatisticsPublisher:
         state, detail = self._state, self._detail
         if state == "ready" and (flood := "; ".join(filter(None, (each.told() for each in self._floods)))):
             state, detail = "degraded", flood
+        elif state == "ready" and not detail and self._freshness is not None:
+            detail = self._freshness.told()
         cycles = max(1, self._window_cycles)
         cpu_time = time.process_time()
         newest = Statistics(

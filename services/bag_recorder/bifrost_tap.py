@@ -26,7 +26,7 @@ class _Tap:
     """One topic."""
 
     def __init__(self, node: bifrost.Node, topic: Topic[Any]) -> None:
-        self.name = topic.name
+        self.topic = topic
         self.subscriber = topic.subscriber(node, queue=QUEUE, limited=False)
         self.every = topic.record_every
         self.encode = TwinEncoder(topic.type).encode
@@ -72,6 +72,16 @@ class BifrostTap:
         ]
 
     @property
+    def heard(self) -> dict[Topic[Any], bifrost.Subscriber[Any]]:
+        """The subscriber of each topic that is recorded."""
+        return {tap.topic: tap.subscriber for tap in self._taps}
+
+    @property
+    def time(self) -> int:
+        """Robot time of the Motion Manager's newest word [ns]."""
+        return self.state.message.time if self.state is not None else 0
+
+    @property
     def counts(self) -> dict[str, tuple[int, int]]:
         """Received and dropped since start, by topic."""
         return {tap.recorded.name: (tap.received, tap.dropped) for tap in self._taps}
@@ -94,7 +104,7 @@ class BifrostTap:
 
     def _take(self, tap: _Tap, waiting: list[bifrost.Received[Any]], sink: Sink | None) -> None:
         tap.received += len(waiting)
-        if waiting and tap.name == MOTION_STATE.name:
+        if waiting and tap.topic == MOTION_STATE:
             self.state = cast("bifrost.Received[MotionState]", waiting[-1])
         if sink is None:
             tap.unwritten += len(waiting)

@@ -49,6 +49,7 @@ class BagRecorder:
             self._bifrost = BifrostTap(context.node, self._clock, selection=selection, alive=self._statistics.idle)
         except UnknownTypeError as error:
             raise ConfigurationError(f"{error}: {REPAIR}") from None
+        self._statistics.depend(self._bifrost.heard, lambda: self._bifrost.time)
         self._ros = RosTap(context.settings.ros_domain_id, self._clock, selection, self._statistics.idle)
         self._snaps = SNAP.server(context.node, self._snap)
         self._recording: Continuous | LastSeconds

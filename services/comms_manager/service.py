@@ -37,6 +37,8 @@ class CommsManager:
         self._commands = Commands(motors, context.robot, self._leader)
         self._clock = ClockReport(CLOCK.publisher(node))
         self._backend = make_backend(context)
+        self._time = 0  # robot time [ns]
+        self._statistics.depend({MOTOR: motors}, lambda: self._time)
         # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier
         # runs, so that a Motor which answers the world before a restart is known.
         self._sequence = time.monotonic_ns() // 1000
@@ -90,6 +92,7 @@ class CommsManager:
         self._sequence += 1
         state = self._backend.measure(self._sequence)
         state.motor_behavior = self._leader.behavior
+        self._time = state.time
         return state
 
     def _publish(self, state: Proprioceptor) -> None:

@@ -24,7 +24,8 @@ class MotionSystem:
         self._node = node
         self._client = FOOTSTEP_PLAN.client(node)
         self._step_status = STEP_STATUS.subscriber(node, queue=AT_ONCE)
-        self.heard = (self._step_status,)
+        self.heard = {STEP_STATUS: self._step_status}
+        self.time = 0  # of the newest step status [ns]
         # 500 messages a second: subscribed to only while a plan runs.
         self._motion_state: bifrost.Subscriber[MotionState] | None = None
         self._requests = ThreadPoolExecutor(max_workers=1, thread_name_prefix="requests")
@@ -56,7 +57,9 @@ class MotionSystem:
 
     def step_statuses(self) -> list[StepStatus]:
         """Step statuses that arrived since the last call."""
-        return [received.message for received in self._step_status.drain(AT_ONCE)]
+        statuses = [received.message for received in self._step_status.drain(AT_ONCE)]
+        self.time = statuses[-1].time if statuses else self.time
+        return statuses
 
     def close(self) -> None:
         """Wait for the request under way; forget those that wait."""

@@ -101,7 +101,8 @@ class FootstepConverter:
 
     def run(self) -> None:
         """Serve until told to stop."""
-        self._statistics.watch(self._motion.heard, self._clients.floods)
+        self._statistics.watch(self._motion.heard.values(), self._clients.floods)
+        self._statistics.depend(self._motion.heard, lambda: self._motion.time)
         self._statistics.state("ready")
         while not self._stopping.is_set():
             self._turn()

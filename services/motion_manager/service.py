@@ -110,6 +110,7 @@ class MotionManagerService:
         self._tick_time = 0.0  # of the last tick [s]
         self._statistics.count(self._counts)
         self._statistics.watch((self._proprioceptor, *self._commands, *self._requests))
+        self._statistics.depend({PROPRIOCEPTOR: self._proprioceptor}, lambda: self._manager.time)
 
     def run(self) -> None:
         """Answer every Proprioceptor until told to stop.

@@ -138,7 +138,8 @@ class ValorRosController:
             soft_stop=lambda: mode_controller.request(ControlMode.SOFT_STOP),
             refusal=refusal,
         )
-        context.statistics.watch((*self._interface.heard, *self._bypass.heard), self._ros.floods)
+        context.statistics.watch((*self._interface.heard.values(), *self._bypass.heard), self._ros.floods)
+        context.statistics.depend(self._interface.heard, lambda: self._hw.time)
         self._motion = MotionStatePublisher(node, self._stamp, rate)
         self._status = RobotStatusPublisher(node, self._interface)
         self._mode_face = ControlModeAction(node, mode_controller, self._stamp)

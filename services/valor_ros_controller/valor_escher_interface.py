@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,11 @@ class ValorEscherInterface:
         self._proprioceptor = topics.PROPRIOCEPTOR.subscriber(node)
         self._motion_state = topics.MOTION_STATE.subscriber(node)
         self._step_status = topics.STEP_STATUS.subscriber(node)
-        self.heard = (self._proprioceptor, self._motion_state, self._step_status)
+        self.heard: dict[topics.Topic[Any], bifrost.Subscriber[Any]] = {
+            topics.PROPRIOCEPTOR: self._proprioceptor,
+            topics.MOTION_STATE: self._motion_state,
+            topics.STEP_STATUS: self._step_status,
+        }
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
         self._pelvis = topics.PELVIS.publisher(node)
         self._control_mode = topics.CONTROL_MODE.publisher(node)

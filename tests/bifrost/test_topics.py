@@ -326,6 +326,19 @@ def test_a_loop_that_drains_only_what_its_poller_tells_misses_nothing(net: Bifro
     assert taken == list(range(many))
 
 
+def test_a_subscriber_tells_how_far_its_publisher_has_counted(net: BifrostNetwork) -> None:
+    publisher = net.node("publisher").publisher("lab/sample", Sample)
+    node = net.node("subscriber")
+    queue, newest = node.subscriber("lab/sample", Sample, queue=1000), node.subscriber("lab/sample", Sample)
+    assert queue.sequence == newest.sequence == 0
+    connected(publisher, queue, newest)
+    for i in range(50):
+        publisher.publish(sample(i))
+    last = [queue.receive(timeout=10.0) for _ in range(50)][-1]
+    assert last is not None and queue.sequence == last.sequence
+    until(lambda: newest.latest() is not None and newest.sequence == last.sequence, "the newest has come")
+
+
 def test_the_descriptor_serves_an_event_loop(net: BifrostNetwork) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
     subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=1000)
