@@ -6,12 +6,14 @@ NumPy takes longer to import than all the rest of Bifrost, and who hears no arra
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
-from bifrost.messages import ArrayKind, M
+from bifrost.array_kind import ArrayKind
+
+S = TypeVar("S", bound=msgspec.Struct)
 
 ndarray = np.ndarray  # the class of every array
 
@@ -28,7 +30,7 @@ def _array(wire_type: Any, value: Any, _view: Callable[..., Any] = np.frombuffer
     return _view(value, wire_type.__args__[1])  # raises TypeError on all but bytes
 
 
-def decoder(message_type: type[M]) -> msgspec.msgpack.Decoder[M]:
+def decoder(message_type: type[S]) -> msgspec.msgpack.Decoder[S]:
     """A decoder that accepts what is exactly of this type, and raises ``ValueError`` or its kin on all else.
 
     Args:

@@ -6,7 +6,7 @@ import secrets
 import time
 from dataclasses import dataclass
 from struct import error as StructError  # noqa: N812
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import msgspec
 import zmq
@@ -15,11 +15,9 @@ from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import codec
 from bifrost.errors import Error, NoServerError, RemoteError, SchemaError, TimeoutError
+from bifrost.member import Member
 from bifrost.messages import M, Message
 from bifrost.neighbors import Peer
-
-if TYPE_CHECKING:
-    from bifrost.node import Node
 
 R = TypeVar("R", bound=Message)
 _AGAIN = 0.01  # while a question of a loop waits for a connection, it is looked at this often [s]
@@ -42,7 +40,7 @@ class Client(Generic[M, R]):
     A thread that may wait uses ``call``. A loop that may not uses ``ask``, ``bifrost.wait`` and ``answer``.
     """
 
-    def __init__(self, node: Node, topic: str, request: type[M], reply: type[R]) -> None:
+    def __init__(self, node: Member, topic: str, request: type[M], reply: type[R]) -> None:
         self.topic = topic
         self._node = node
         self._request_type = request

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable
 from struct import error as StructError  # noqa: N812
 from time import monotonic_ns
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import zmq
 
@@ -16,10 +16,8 @@ from bifrost.directory import Entry
 from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
 from bifrost.limits import LOOKS, Limit, Meter, Muted, endpoint_of
+from bifrost.member import Member
 from bifrost.schema import type_from_schema
-
-if TYPE_CHECKING:
-    from bifrost.node import Node
 
 _log = logging.getLogger("bifrost")
 _NOBLOCK = int(zmq.NOBLOCK)
@@ -79,7 +77,7 @@ class Intake:
     """
 
     def __init__(
-        self, node: Node, topic: str, own_codec: Codec[Any] | None, queue: int | None, limit: Limit | None = None
+        self, node: Member, topic: str, own_codec: Codec[Any] | None, queue: int | None, limit: Limit | None = None
     ) -> None:
         self.several = self.left = False
         self.floods = 0

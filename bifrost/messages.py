@@ -9,18 +9,11 @@ aliases are equal when a program runs differs from one NumPy to the next.
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 
-
-class ArrayKind(Enum):
-    """What the elements of an array field are, by NumPy's name of them; marks the field's annotation."""
-
-    FLOAT64 = "float64"
-    UINT8 = "uint8"
-
+from bifrost.array_kind import ArrayKind
 
 if TYPE_CHECKING:
     import numpy as np

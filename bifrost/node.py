@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import re
-import threading
 from collections.abc import Callable
-from typing import Protocol, Self, TypeVar
+from typing import TypeVar
 
 import zmq
 
-from bifrost import security, wire
 from bifrost.client import Client
-from bifrost.directory import Entry
-from bifrost.discovery import WAKE_ENDPOINT, Discovery
 from bifrost.encoding import codec
-from bifrost.errors import Error, TimeoutError
-from bifrost.graph import Graph
+from bifrost.errors import Error
 from bifrost.limits import Limit
+from bifrost.member import Member
 from bifrost.messages import M, Message
 from bifrost.network import Network
 from bifrost.publisher import Latch, Outlet, Publisher
@@ -24,17 +19,9 @@ from bifrost.server import Server
 from bifrost.subscriber import Drop, Subscriber
 
 R = TypeVar("R", bound=Message)
-_NAME = re.compile(r"[A-Za-z0-9_.~-]+(/[A-Za-z0-9_.~-]+)*")
 
 
-class _Closable(Protocol):
-    def close(self) -> None: ...
-
-
-C = TypeVar("C", bound=_Closable)
-
-
-class Node:
+class Node(Member):
     """Publishes, subscribes, serves and calls under one name. A context manager.
 
     It needs no daemon to start: it is found, and finds others, as soon as one runs.
@@ -53,21 +40,8 @@ class Node:
             ConfigurationError: the network file or the keys are missing or wrong.
             ValueError: no name for a node.
         """
-        _check_name("node", name)
-        self.name = name
-        self.network = network or Network.from_environment()
-        self._lock = threading.Lock()
-        self._context = security.new_context()
-        self._children: list[_Closable] = []
+        super().__init__(name, network, recall)
         self._outlet: Outlet | None = None
-        self._closed = False
-        self.discovery = Discovery(self._context, self.network, name, recall)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
     def publisher(self, topic: str, message_type: type[M], latched: bool = False) -> Publisher[M]:
         """Publish on a topic.
@@ -93,6 +67,7 @@ class Node:
         with self._lock:
             if self._outlet is None:
                 self._outlet = Outlet(self.listening_socket(zmq.PUB), host)
+                self._shared.append(self._outlet.socket)
             outlet = self._outlet
         return self._keep(Publisher(self, outlet, topic, message_type))
 
@@ -153,80 +128,6 @@ class Node:
         self._check(topic)
         return self._keep(Client(self, topic, request, reply))
 
-    def graph(self, timeout: float = 2.0) -> Graph:
-        """Who publishes, subscribes to, serves and calls what now.
-
-        Raises:
-            TimeoutError: the daemon has not answered within ``timeout`` [s].
-        """
-        if not self.discovery.wait_change(lambda: self.discovery.registered, timeout):
-            raise TimeoutError(f"{self.daemon_silent} (waited {timeout:g} s)")
-        return Graph.from_records(self.discovery.records())
-
-    def close(self) -> None:
-        """Leave the network; close all that was made of this node. May be called twice.
-
-        What was made of it must not be in use by another thread.
-        """
-        with self._lock:
-            if self._closed:
-                return
-            self._closed = True
-            children = list(self._children)
-        for child in children:
-            child.close()
-        self.discovery.close()
-        if self._outlet is not None:
-            self._outlet.socket.close()
-        self._context.term()
-
-    # --- for what is made of a node -------------------------------------------------------------------------------
-
-    def listening_socket(self, kind: int) -> zmq.Socket[bytes]:
-        """A socket to bind."""
-        return security.listening_socket(self._context, kind, self.network)
-
-    def connecting_socket(self, kind: int) -> zmq.Socket[bytes]:
-        """A socket to connect."""
-        return security.connecting_socket(self._context, kind, self.network)
-
-    def connect(self, socket: zmq.Socket[bytes], entry: Entry) -> None:
-        """Connect a socket to an entry of a node."""
-        security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
-
-    def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
-        """Let the discovery thread wake a subscriber: it publishes the bare topic when its publishers change."""
-        socket.connect(WAKE_ENDPOINT)
-
-    @property
-    def daemon_silent(self) -> str:
-        """What to tell a person when the daemon does not answer."""
-        return f"bifrostd at {self.network.computer.daemon} does not answer"
-
-    def forget(self, child: _Closable) -> None:
-        """A child has closed."""
-        with self._lock:
-            if child in self._children:
-                self._children.remove(child)
-
-    def _check(self, topic: str) -> None:
-        if self._closed:
-            raise Error(f"node {self.name} is closed")
-        _check_name("topic", topic)
-
     def _check_grant(self, kind: str, topic: str) -> None:
         if refusal := self.network.grants.refusal(self.name, kind, topic, self.network.owner):
             raise Error(refusal)
-
-    def _keep(self, child: C) -> C:
-        with self._lock:
-            self._children.append(child)
-        return child
-
-
-def _check_name(what: str, name: str) -> None:
-    if not _NAME.fullmatch(name) or len(name) > wire.MAX_NAME:
-        raise ValueError(
-            f"{what} name {name!r}: expected letters, digits, _, ., ~ and -, in parts separated by /, "
-            f"at most {wire.MAX_NAME}"
-        )

@@ -14,11 +14,11 @@ from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import codec
 from bifrost.errors import Error
+from bifrost.member import Member
 from bifrost.messages import M
 
 if TYPE_CHECKING:
     from bifrost.discovery import Discovery
-    from bifrost.node import Node
 
 _NOBLOCK = int(zmq.NOBLOCK)
 _MAX_SIZE = wire.MAX_MESSAGE_SIZE
@@ -105,7 +105,7 @@ class Latch(Outlet):
 class Publisher(Generic[M]):
     """Publishes messages of one type on one topic. Made by ``Node.publisher``."""
 
-    def __init__(self, node: Node, outlet: Outlet, topic: str, message_type: type[M]) -> None:
+    def __init__(self, node: Member, outlet: Outlet, topic: str, message_type: type[M]) -> None:
         self.topic = topic
         self._node = node
         self._codec = codec(message_type)

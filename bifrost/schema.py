@@ -12,8 +12,9 @@ from typing import Any
 
 import msgspec
 
+from bifrost.array_kind import ArrayKind
 from bifrost.errors import SchemaError
-from bifrost.messages import ArrayKind, Float64Array, Message, Uint8Array
+from bifrost.messages import Float64Array, Message, Uint8Array
 
 _PLAIN: dict[str, Any] = {
     "int": int,

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from struct import error as StructError  # noqa: N812
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import msgspec
 import zmq
@@ -15,10 +15,8 @@ from bifrost import wire
 from bifrost.directory import Entry
 from bifrost.encoding import codec
 from bifrost.limits import LOOKS, MUTE, Limit, Meter
+from bifrost.member import Member
 from bifrost.messages import M, Message
-
-if TYPE_CHECKING:
-    from bifrost.node import Node
 
 _log = logging.getLogger("bifrost")
 R = TypeVar("R", bound=Message)
@@ -37,7 +35,7 @@ class Server(Generic[M, R]):
 
     def __init__(
         self,
-        node: Node,
+        node: Member,
         topic: str,
         request: type[M],
         reply: type[R],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import TYPE_CHECKING, Any, Generic, Literal
+from typing import Any, Generic, Literal
 
 import msgspec
 import zmq
@@ -14,11 +14,9 @@ from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
 from bifrost.intake import Checked, Intake
 from bifrost.limits import LOOKS, Limit
+from bifrost.member import Member
 from bifrost.messages import M, Message
 from bifrost.reservoir import Reservoir
-
-if TYPE_CHECKING:
-    from bifrost.node import Node
 
 Drop = Literal["newest", "oldest"]
 _SMALL = 4096  # copying fewer bytes than this is quicker than a view of them [B]
@@ -48,7 +46,7 @@ class Subscriber(Generic[M]):
 
     def __init__(
         self,
-        node: Node,
+        node: Member,
         topic: str,
         message_type: type[M] | None,
         queue: int | None,

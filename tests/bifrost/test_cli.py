@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 import bifrost
-from bifrost.cli import app
+from bifrost.cli.__main__ import app
 from harness.bifrost_network import (
     Answer,
     BifrostNetwork,

@@ -1,17 +1,8 @@
-"""The verbs ``topic list|info|echo|hz|bw|delay|pub`` and ``service list|call``: the network as a person sees it.
-
-``topic`` and ``service`` are Typer apps to mount in a larger command line; ``python -m bifrost.cli`` has both. They
-join the network that ``BIFROST_NETWORK`` and ``BIFROST_KEYS`` name. What they raise is a ``bifrost.Error`` of one line.
-"""
+"""The verbs ``topic list|info|echo|hz|bw|delay|pub``."""
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import signal
 import statistics
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -20,9 +11,21 @@ from typing import Annotated, Any
 import typer
 
 from bifrost import completion
+from bifrost.cli.terminal import (
+    DAEMON_TIMEOUT,
+    Json,
+    end_json,
+    lines,
+    message_fields,
+    own_node,
+    print_json,
+    print_table,
+    schemas_json,
+    until_interrupted,
+)
 from bifrost.directory import Count
-from bifrost.errors import Error, NoServerError, TimeoutError
-from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
+from bifrost.errors import Error, TimeoutError
+from bifrost.graph import End, Graph, TopicInfo
 from bifrost.health import counts
 from bifrost.messages import Message
 from bifrost.node import Node
@@ -31,23 +34,10 @@ from bifrost.schema import type_from_schema
 from bifrost.subscriber import Received, Subscriber
 
 _QUEUE = 10_000  # messages; more than a second of anything
-_DAEMON_TIMEOUT = 2.0  # [s]
 
 # Markup would take the units in brackets for its own.
 topic = typer.Typer(name="topic", help="See what is published on Bifrost.", no_args_is_help=True, rich_markup_mode=None)
-service = typer.Typer(
-    name="service", help="See and call what is served on Bifrost.", no_args_is_help=True, rich_markup_mode=None
-)
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-app.add_typer(topic)
-app.add_typer(service)
 
-Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
 Timeout = Annotated[float, typer.Option(help="How long to wait for the first message [s].", min=0.0)]
 Duration = Annotated[
     float | None, typer.Option("--for", help="Measure this long [s]; else until interrupted.", min=0.1)
@@ -56,20 +46,16 @@ TopicName = Annotated[
     str,
     typer.Argument(metavar="TOPIC", help="Its name, as `topic list` shows it.", autocompletion=completion.topics),
 ]
-ServiceName = Annotated[
-    str,
-    typer.Argument(metavar="SERVICE", help="Its name, as `service list` shows it.", autocompletion=completion.services),
-]
 
 
 @topic.command("list")
 def topic_list(as_json: Json = False) -> None:
     """List every topic, its type, publishers and number of subscribers."""
-    with _node() as node:
-        graph = node.graph(_DAEMON_TIMEOUT)
+    with own_node() as node:
+        graph = node.graph(DAEMON_TIMEOUT)
     topics = [info for info in graph.topics.values() if info.publishers or info.subscribers]
     if as_json:
-        _print_json([_topic_json(graph, info, {}) for info in topics])
+        print_json([_topic_json(graph, info, {}) for info in topics])
         return
     rows = [
         (
@@ -80,7 +66,7 @@ def topic_list(as_json: Json = False) -> None:
         )
         for info in topics
     ]
-    _print_table(("topic", "type", "published by", "subscribers"), rows)
+    print_table(("topic", "type", "published by", "subscribers"), rows)
 
 
 @topic.command("info")
@@ -89,14 +75,14 @@ def topic_info(name: TopicName, as_json: Json = False) -> None:
 
     The counts are those that each node told last, a second ago at most.
     """
-    with _node() as node:
-        graph = node.graph(_DAEMON_TIMEOUT)
-        told = counts(node.network, name, _DAEMON_TIMEOUT)
+    with own_node() as node:
+        graph = node.graph(DAEMON_TIMEOUT)
+        told = counts(node.network, name, DAEMON_TIMEOUT)
     info = graph.topics.get(name)
     if info is None:
         raise Error(f"topic {name}: nobody publishes or subscribes to it")
     if as_json:
-        _print_json(_topic_json(graph, info, told))
+        print_json(_topic_json(graph, info, told))
         return
     hashes = sorted({digest for end in (*info.publishers, *info.subscribers) for digest in end.hashes})
     print(f"topic {name}")
@@ -123,7 +109,7 @@ def topic_echo(
     timeout: Timeout = 5.0,
 ) -> None:
     """Print a topic's messages, whatever their type; numbers that are not finite are null in JSON."""
-    with _node() as node, _until_interrupted():
+    with own_node() as node, until_interrupted():
         subscriber = node.subscribe_any(name, queue=None if once else _QUEUE)
         received: Received[Message] | None = _first(node, subscriber, timeout)
         while True:
@@ -153,7 +139,7 @@ def topic_hz(name: TopicName, duration: Duration = None, as_json: Json = False, 
             "drops": drops,
         }
         if as_json:
-            _print_json({"topic": name} | result, one_line=True)
+            print_json({"topic": name} | result, one_line=True)
         else:
             print(
                 f"{result['rate']:.2f} Hz; period mean {mean * 1e3:.3f} ms, min {min(periods) * 1e3:.3f}, "
@@ -173,7 +159,7 @@ def topic_bw(name: TopicName, duration: Duration = None, as_json: Json = False, 
         rate = mean * (len(messages) - 1) / span if len(messages) > 1 else float(size)
         if as_json:
             result = {"topic": name, "bytes_per_second": rate, "bytes_mean": mean}
-            _print_json(result | {"messages": len(messages), "drops": drops}, one_line=True)
+            print_json(result | {"messages": len(messages), "drops": drops}, one_line=True)
         else:
             print(f"{_bytes(rate)}/s; {_bytes(mean)} a message, {len(messages)} messages", flush=True)
 
@@ -197,7 +183,7 @@ def topic_delay(name: TopicName, duration: Duration = None, as_json: Json = Fals
             "drops": drops,
         }
         if as_json:
-            _print_json({"topic": name} | result, one_line=True)
+            print_json({"topic": name} | result, one_line=True)
         else:
             print(
                 f"delay mean {result['delay_mean'] * 1e6:.0f} µs, median {result['delay_median'] * 1e6:.0f}, "
@@ -222,9 +208,9 @@ def topic_pub(
 
     Begins when all that subscribe have connected. With --latched it goes on until interrupted.
     """
-    fields = _object(message, "MESSAGE")
+    fields = message_fields(message, "MESSAGE")
     sent = 0
-    with _node() as node, _until_interrupted():
+    with own_node() as node, until_interrupted():
         graph, end = _typed_end(node, name, timeout)
         message_type = type_from_schema(graph.schemas[end.hashes[0]])
         content = from_builtins(message_type, fields)
@@ -242,74 +228,16 @@ def topic_pub(
         while latched:
             time.sleep(1.0)
     if as_json:
-        _print_json({"topic": name, "type": end.types[0], "messages": sent})
+        print_json({"topic": name, "type": end.types[0], "messages": sent})
     else:
         print(f"published {sent} {end.types[0]}")
-
-
-@service.command("list")
-def service_list(as_json: Json = False) -> None:
-    """List every service, its types, and who serves it."""
-    with _node() as node:
-        graph = node.graph(_DAEMON_TIMEOUT)
-    if as_json:
-        _print_json([_service_json(graph, info) for info in graph.services.values()])
-        return
-    rows = []
-    for info in graph.services.values():
-        types = sorted({" -> ".join(end.types) for end in (*info.servers, *info.clients)})
-        servers = ", ".join(end.node for end in info.servers) or "-"
-        rows.append((info.name, " ≠ ".join(types), servers, str(len(info.clients))))
-    _print_table(("service", "type", "served by", "clients"), rows)
-
-
-@service.command("call")
-def service_call(
-    name: ServiceName,
-    request: Annotated[str, typer.Argument(help="The request's fields as a JSON object.")] = "{}",
-    as_json: Json = False,
-    timeout: Annotated[float, typer.Option(help="For a server and its reply [s].", min=0.0)] = 5.0,
-) -> None:
-    """Send a request and print the reply."""
-    fields = _object(request, "REQUEST")
-    with _node() as node:
-        graph, server = _server(node, name, timeout)
-        types = [type_from_schema(graph.schemas[digest]) for digest in server.hashes]
-        client = node.client(name, *types)
-        reply = client.call(from_builtins(types[0], fields), timeout)
-    if as_json:
-        _print_json(to_builtins(reply))
-    else:
-        print("\n".join(_lines(to_builtins(reply))))
-
-
-# --- the network ------------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def _node() -> Iterator[Node]:
-    with Node(f"cli_{os.getpid()}") as node:
-        yield node
-
-
-def _server(node: Node, name: str, timeout: float) -> tuple[Graph, End]:
-    """The newest server of a service, waited for."""
-    deadline = time.monotonic() + timeout
-    while True:
-        graph = node.graph(_DAEMON_TIMEOUT)
-        info = graph.services.get(name)
-        if info and info.servers:
-            return graph, info.servers[-1]
-        if time.monotonic() > deadline:
-            raise NoServerError(f"service {name}: no server within {timeout:g} s")
-        time.sleep(0.02)
 
 
 def _typed_end(node: Node, name: str, timeout: float) -> tuple[Graph, End]:
     """Somebody who publishes or subscribes to a topic and knows its type; waited for."""
     deadline = time.monotonic() + timeout
     while True:
-        graph = node.graph(_DAEMON_TIMEOUT)
+        graph = node.graph(DAEMON_TIMEOUT)
         if info := graph.topics.get(name):
             for end in (*info.publishers, *info.subscribers):
                 if end.hashes:
@@ -344,11 +272,11 @@ def _windows(
     Raises:
         Error: ``one_clock`` is asked for, and the topic is published on another computer.
     """
-    with _node() as node, _until_interrupted():
+    with own_node() as node, until_interrupted():
         subscriber = node.subscribe_any(name, queue=_QUEUE)
         _first(node, subscriber, timeout)
         if one_clock:
-            publishers = node.graph(_DAEMON_TIMEOUT).topics[name].publishers
+            publishers = node.graph(DAEMON_TIMEOUT).topics[name].publishers
             here = node.network.computer.name
             for end in publishers:
                 if end.computer != here:
@@ -369,58 +297,6 @@ def _windows(
                 return
 
 
-@contextlib.contextmanager
-def _until_interrupted() -> Iterator[None]:
-    """Ctrl-C, or a reader that has seen enough, is how a person ends these."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.SIG_IGN:  # a larger command line may have its own
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    except KeyboardInterrupt:
-        pass
-    except BrokenPipeError:
-        sys.stdout = None  # nobody reads: do not try again at exit
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-# --- what a person or a program writes --------------------------------------------------------------------------------
-
-
-def _object(text: str, parameter: str) -> Any:
-    """JSON of a message; an object that says a field twice is refused."""
-
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        fields = dict(pairs)
-        if len(fields) != len(pairs):
-            raise ValueError("a field is there twice")
-        return fields
-
-    try:
-        return json.loads(text, object_pairs_hook=once)
-    except (ValueError, RecursionError) as error:
-        raise typer.BadParameter(f"expected a JSON object: {error}", param_hint=parameter) from None
-
-
-# --- what a person or a program reads ---------------------------------------------------------------------------------
-
-
-def _end_json(end: End, count: Count | None = None) -> dict[str, Any]:
-    described: dict[str, Any] = {
-        "node": end.node,
-        "pid": end.pid,
-        "computer": end.computer,
-        "types": list(end.types),
-        "hashes": list(end.hashes),
-        "endpoint": end.endpoint or None,
-        "latched": end.latched,
-    }
-    if count is not None:
-        described |= {"messages": count.messages, "drops": count.drops, "rejected": count.rejected}
-    return described
-
-
 def _with_counts(kind: str, ends: Sequence[End], told: dict[int, list[Count]]) -> Iterator[tuple[End, Count | None]]:
     """Ends with their counts: those of a node are in the order in which it made them."""
     rest = {node: iter([count for count in counts if count.kind == kind]) for node, counts in told.items()}
@@ -433,30 +309,10 @@ def _topic_json(graph: Graph, info: TopicInfo, told: dict[int, list[Count]]) -> 
     return {
         "name": info.name,
         "types": info.types,
-        "schemas": {
-            digest: {"name": graph.schemas[digest].name, "types": graph.schemas[digest].types}
-            for digest in sorted({digest for end in ends for digest in end.hashes})
-        },
-        "publishers": [_end_json(*pair) for pair in _with_counts("publisher", info.publishers, told)],
-        "subscribers": [_end_json(*pair) for pair in _with_counts("subscriber", info.subscribers, told)],
+        "schemas": schemas_json(graph, ends),
+        "publishers": [end_json(*pair) for pair in _with_counts("publisher", info.publishers, told)],
+        "subscribers": [end_json(*pair) for pair in _with_counts("subscriber", info.subscribers, told)],
     }
-
-
-def _service_json(graph: Graph, info: ServiceInfo) -> dict[str, Any]:
-    ends = (*info.servers, *info.clients)
-    return {
-        "name": info.name,
-        "schemas": {
-            digest: {"name": graph.schemas[digest].name, "types": graph.schemas[digest].types}
-            for digest in sorted({digest for end in ends for digest in end.hashes})
-        },
-        "servers": [_end_json(end) for end in info.servers],
-        "clients": [_end_json(end) for end in info.clients],
-    }
-
-
-def _print_json(content: Any, one_line: bool = False) -> None:
-    print(json.dumps(content, indent=None if one_line else 2, allow_nan=False), flush=True)
 
 
 def _print_message(received: Received[Message], as_json: bool) -> None:
@@ -468,36 +324,13 @@ def _print_message(received: Received[Message], as_json: bool) -> None:
             "sequence": received.sequence,
             "stamp": received.stamp,
         }
-        _print_json(envelope | {"message": fields}, one_line=True)
+        print_json(envelope | {"message": fields}, one_line=True)
         return
     print(
         f"--- {type(received.message).__name__} {received.sequence} of {received.origin}, "
         f"stamp {received.stamp / 1e9:.6f}"
     )
-    print("\n".join(_lines(fields)), flush=True)
-
-
-def _lines(value: Any, indent: str = "") -> Iterator[str]:
-    """A message as YAML-like lines: flat lists in one line, six digits a number."""
-    for name, field in value.items():
-        if isinstance(field, dict):
-            yield f"{indent}{name}:"
-            yield from _lines(field, indent + "  ")
-        elif isinstance(field, list) and any(isinstance(element, dict) for element in field):
-            yield f"{indent}{name}:"
-            for index, element in enumerate(field):
-                yield f"{indent}  [{index}]"
-                yield from _lines(element, indent + "    ")
-        elif isinstance(field, list):
-            yield f"{indent}{name}: [{', '.join(_number(element) for element in field)}]"
-        else:
-            yield f"{indent}{name}: {_number(field)}"
-
-
-def _number(value: Any) -> str:
-    if value is None:
-        return "nan"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    print("\n".join(lines(fields)), flush=True)
 
 
 def _bytes(count: float) -> str:
@@ -506,23 +339,3 @@ def _bytes(count: float) -> str:
             return f"{count:.1f} {unit}"
         count /= 1000.0
     return f"{count:.1f} GB"
-
-
-def _print_table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
-    widths = [max(len(row[column]) for row in (header, *rows)) for column in range(len(header))]
-    for row in (header, *rows):
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-
-
-def main() -> int:
-    """Run the verbs on their own: 0 done, 1 with one line on stderr, 2 wrong usage."""
-    try:
-        app(prog_name="bifrost")
-    except Error as error:
-        print(f"bifrost: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
