@@ -41,8 +41,9 @@ from walking_actions import (
     straight_on,
 )
 
-from valor.analysis.errors import BagError
 from valor.analysis.walk import Figures
+from valor.bags.errors import BagError
+from valor.common import whole_file
 from valor.common.document import Document
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
@@ -296,9 +297,7 @@ def main() -> None:
 
 def keep(runs: list[Run], path: Path) -> None:
     """Write all runs; whoever is interrupted meanwhile has the file as it was."""
-    new = path.with_suffix(".new")
-    new.write_bytes(msgspec.json.format(msgspec.json.encode(runs), indent=1) + b"\n")
-    new.replace(path)
+    whole_file.write(path, msgspec.json.format(msgspec.json.encode(runs), indent=1) + b"\n")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.clock import ClockChange, WallClock
 from valor.bag_recorder.housekeeper import Housekeeper
 from valor.bags import recordings
-from valor.bags.index import EVENT, BagError, read_index
+from valor.bags.errors import BagError
+from valor.bags.index import EVENT, read_index
 from valor.bags.recordings import Unfinished
 from valor.bags.recovery import recover
 from valor.common import whole_file

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.soak.rules import lawful
-from valor.bags.index import BagError
+from valor.bags.errors import BagError
 from valor.bags.recovery import recover
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import MotionState, Motor

@@ -16,8 +16,8 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from valor.analysis import pictures, plots
 from valor.analysis.bag import Bag
-from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest
+from valor.bags.errors import BagError
 from valor.common.messages import JointSetpoints, MotionState, Motor, Proprioceptor
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription

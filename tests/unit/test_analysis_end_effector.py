@@ -13,9 +13,9 @@ from harness import analysis_bag
 from harness.places import ROBOTS
 from valor.analysis.bag import Bag
 from valor.analysis.end_effector import Hand, HandTrack, PoseError, Poses
-from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording
 from valor.analysis.timeline import Motion, Timeline
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model

@@ -15,7 +15,7 @@ from harness import analysis_bag
 from harness.places import REPOSITORY, ROBOTS
 from valor.analysis import pictures, plots
 from valor.analysis.bag import Bag
-from valor.analysis.errors import BagError
+from valor.bags.errors import BagError
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

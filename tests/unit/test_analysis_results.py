@@ -20,13 +20,14 @@ from harness import analysis_bag
 from harness.places import ROBOTS
 from valor.analysis import chapters, report_html, report_markdown, report_pdf
 from valor.analysis.bag import Bag
-from valor.analysis.errors import BagError, ResultError, SignalError
+from valor.analysis.errors import ResultError, SignalError
 from valor.analysis.joint_signals import JointSignals, draw, neck
 from valor.analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor.analysis.recording import Recording
 from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.analysis.style import figure, save
 from valor.analysis.timeline import Motion, Timeline
+from valor.bags.errors import BagError
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Reader
 from harness.examples import examples
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.definitions import definition
-from valor.bags.index import BagError
+from valor.bags.errors import BagError
 from valor.bags.recovery import recover
 
 TOPICS = [

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.errors import BagError
 from valor.analysis.ros_types import Types
 from valor.analysis.stored import StoredBag, StoredMessage
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 
 _NANO = 1e-9

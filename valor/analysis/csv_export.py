@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from valor.analysis import parquet
-from valor.analysis.errors import BagError
 from valor.analysis.flat import Flattener, Shape
 from valor.analysis.ros_types import Types
 from valor.analysis.stored import Condition, StoredBag, StoredTopic
+from valor.bags.errors import BagError
 from valor.bags.selection import Selection
+from valor.common import whole_file
 
 TIME = "log_time_ns"
 MOST_NOTICES = 100
@@ -204,8 +205,8 @@ class _Table:
         self._file.close()
         if len(self._columns) == self._header:
             return
-        beside = self.path.with_suffix(".new")
         with (
+            whole_file.replacing(self.path) as beside,
             open(self.path, newline="", encoding="utf-8") as old,
             open(beside, "x", newline="", encoding="utf-8") as new,
         ):
@@ -214,7 +215,6 @@ class _Table:
             writer.writerow(self._columns)
             width = len(self._columns)
             writer.writerows(row + [""] * (width - len(row)) for row in rows)
-        beside.replace(self.path)
 
     def convert(self) -> None:
         """Put a Parquet file in the closed CSV's place.

@@ -17,9 +17,9 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest
 from valor.analysis.timeline import Motion, Timeline
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription

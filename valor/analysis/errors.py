@@ -6,10 +6,6 @@ OFFSCREEN = ("libegl1", "libgl1-mesa-dri", "libopengl0")
 """What Debian and Ubuntu call that by which pictures are drawn off screen."""
 
 
-class BagError(ValorError):
-    """A bag is missing, broken, or lacks what is asked of it: names the file and the topic."""
-
-
 class RenderingError(ValorError):
     """This computer cannot render off screen: names what to install."""
 

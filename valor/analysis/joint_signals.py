@@ -14,11 +14,12 @@ from matplotlib.lines import Line2D
 
 from valor.analysis import style
 from valor.analysis.bands import bands_of, keys
-from valor.analysis.errors import BagError, SignalError
+from valor.analysis.errors import SignalError
 from valor.analysis.lag import Lag, lag
 from valor.analysis.recording import Recording
 from valor.analysis.signals import Signal
 from valor.analysis.timeline import Timeline
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 

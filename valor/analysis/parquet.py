@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 
-from valor.analysis.errors import BagError
+from valor.bags.errors import BagError
 
 BLOCK = 8 << 20  # of CSV that is read at once [B]
 

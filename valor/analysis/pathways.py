@@ -24,10 +24,11 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.analysis.bag import Bag, Series
-from valor.analysis.errors import BagError, SignalError
+from valor.analysis.errors import SignalError
 from valor.analysis.lag import lag
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.analysis.signals import Signal
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription

@@ -9,9 +9,9 @@ import numpy as np
 
 from valor.analysis import style
 from valor.analysis.bag import Bag
-from valor.analysis.errors import BagError
 from valor.analysis.recording import Posture, Recording
 from valor.analysis.scene import Scene
+from valor.bags.errors import BagError
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 

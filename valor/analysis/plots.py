@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from valor.analysis import style
 from valor.analysis.bag import Bag
 from valor.analysis.bands import bands_of
-from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.analysis.bag import Bag, Series
-from valor.analysis.errors import BagError
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import MANIPULATING
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic

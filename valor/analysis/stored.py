@@ -16,7 +16,7 @@ from typing import BinaryIO, NamedTuple
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from valor.analysis.errors import BagError
+from valor.bags.errors import BagError
 
 MCAP_MAGIC = b"\x89MCAP"
 SQLITE_MAGIC = b"SQLite format 3\0"

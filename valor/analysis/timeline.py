@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from valor.analysis import json_file
-from valor.analysis.errors import BagError
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 
 SETTLED = 0.3  # at a motion's end, over which final errors are averaged [s]

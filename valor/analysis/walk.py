@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.errors import BagError
 from valor.analysis.recording import Recording, nearest, recorded
+from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import STEPPING, WALKING, Behavior
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor

@@ -16,15 +16,11 @@ from mcap.records import Channel, Footer, Metadata, MetadataIndex, Schema, Stati
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap.summary import Summary
 
-from valor.common.errors import ValorError
+from valor.bags.errors import BagError
 
 EVENT = "event"  # name of the metadata record of something that happened: what, stamp_ns, reason
 _RECORD_HEAD = 9  # of a record: opcode and length [B]
 _CHUNKS = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX)  # left out: thousands an hour, that nobody asks for here
-
-
-class BagError(ValorError):
-    """A file is no bag, or cannot be read or recovered: names the file and why."""
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,9 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
+from valor.bags.errors import BagError
 from valor.bags.files import LIBRARY, PROFILE
-from valor.bags.index import BagError, read_index
+from valor.bags.index import read_index
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time

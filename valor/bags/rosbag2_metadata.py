@@ -14,8 +14,9 @@ from typing import Any
 
 import yaml
 
+from valor.bags.errors import BagError
 from valor.bags.files import SUFFIX, is_own_folder
-from valor.bags.index import EVENT, BagError, BagIndex, read_index, read_metadata
+from valor.bags.index import EVENT, BagIndex, read_index, read_metadata
 from valor.common import whole_file
 
 FILE = "metadata.yaml"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -13,11 +14,21 @@ def write(file: Path, content: str | bytes) -> None:
     Raises:
         OSError: it cannot be written; names ``file``, which is as it was, and leaves nothing beside it.
     """
+    try:
+        with replacing(file) as beside:
+            beside.write_bytes(content.encode() if isinstance(content, str) else content)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(file)) from None
+
+
+@contextlib.contextmanager
+def replacing(file: Path) -> Iterator[Path]:
+    """Where to write what takes the place of ``file`` when the block ends; nothing is left there if it fails."""
     beside = file.with_name(f".{file.name}.{os.getpid()}")
     try:
-        beside.write_bytes(content.encode() if isinstance(content, str) else content)
+        yield beside
         beside.replace(file)
-    except OSError as error:
+    except BaseException:
         with contextlib.suppress(OSError):
             beside.unlink()
-        raise OSError(error.errno, error.strerror, str(file)) from None
+        raise

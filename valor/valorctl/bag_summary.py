@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from valor.bags.errors import BagError
 from valor.bags.files import SUFFIX
-from valor.bags.index import BagError, BagIndex, read_index
+from valor.bags.index import BagIndex, read_index
 from valor.common.errors import ValorError
 
 
