@@ -14,6 +14,7 @@ from harness.examples import examples
 from harness.places import REPOSITORY, ROBOTS
 from valor.common import resources
 from valor.common.errors import ConfigurationError
+from valor.motion_manager.tuning_tables import Tuning
 from valor.robot import checks, rules
 from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup
@@ -397,6 +398,8 @@ def test_whatever_is_changed_is_taken_or_refused(tmp_path_factory: pytest.TempPa
     (folder / "model.xml").symlink_to(ESCHER / "model.xml")
     (folder / "robot.yaml").write_text("".join(lines))
     try:
-        checks.require_sound(RobotDescription.load(folder))
+        robot = RobotDescription.load(folder)
+        robot.read(Tuning)
+        checks.require_sound(robot)
     except ConfigurationError as error:
         assert "\n" not in str(error)

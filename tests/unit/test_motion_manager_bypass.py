@@ -10,6 +10,7 @@ from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
 from valor.motion_manager.hands.hand_goals import GRACE
+from valor.motion_manager.tuning_tables import Tuning
 
 RIGHT = ROBOT.group_indices("right_arm")
 LEFT = ROBOT.group_indices("left_arm")
@@ -131,7 +132,7 @@ def test_a_bad_goal_is_refused_and_nothing_moves(refusing: Robot, changes: dict[
 
 def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> None:
     name = "r_elbow_pitch"
-    place, table = ROBOT.index[name], ROBOT.tables.gains
+    place, table = ROBOT.index[name], ROBOT.read(Tuning).gains
     nominal = ROBOT.servo_stiffness[place]
     message = JointGains([name], np.array((1e6,)), np.array((0.0,)))
     assert robot.manager.tuning_handler.handle_gains(Received(message, 0, 1, "somebody"))

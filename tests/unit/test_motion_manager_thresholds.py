@@ -24,8 +24,9 @@ from valor.motion_manager.joints.joint_gains import CHANGE_TIME, JointGains
 from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.safety.stance import FEET_LOAD, FOOT_LOAD, UPRIGHT, Stance
 from valor.motion_manager.safety.watchdogs import LONGEST_GAP, ProprioceptorWatchdog
+from valor.motion_manager.tuning_tables import Tuning
 
-TILT = UPRIGHT * ROBOT.tables.fall.tilt
+TILT = UPRIGHT * ROBOT.read(Tuning).fall.tilt
 FOUND = Robot()
 FOUND.tick()
 STATE = FOUND.manager._state

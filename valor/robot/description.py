@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +19,10 @@ from msgspec import structs
 from valor.common.arrays import FloatArray
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
-from valor.common.table import read
+from valor.common.table import Table, TableError, checked, read
 from valor.robot.tables import RobotTables
 
+T = TypeVar("T", bound=Table)
 _PERIOD_TOLERANCE = 1e-9  # [s]
 
 
@@ -37,6 +39,7 @@ class RobotDescription:
         self.folder = folder
         self.tables = tables
         self.joints: tuple[str, ...] = tuple(tables.joints)
+        self._read: dict[type[Table], Table] = {}
 
     @classmethod
     def load(cls, folder: Path, control_rate: float | None = None) -> RobotDescription:
@@ -57,6 +60,23 @@ class RobotDescription:
         if not robot.model_file.is_file():
             raise robot.error(["model"], f"no file {robot.model_file}")
         return robot if control_rate is None else cls(folder, structs.replace(tables, control_rate=control_rate))
+
+    def read(self, kind: type[T]) -> T:
+        """Those sections of robot.yaml that a reader has a table of beside itself; read once.
+
+        Args:
+            kind: its keys are those of ``RobotTables`` that are a ``Section``.
+
+        Raises:
+            ConfigurationError: a key is missing or wrong; in one line with file, line and key.
+        """
+        if (table := self._read.get(kind)) is None:
+            sections = {name: getattr(self.tables, name) for name in kind.__struct_fields__}
+            try:
+                table = self._read[kind] = checked(kind, sections)
+            except TableError as error:
+                raise self.error(error.path, error.what) from None
+        return cast("T", table)
 
     def error(self, path: Iterable[str], what: str) -> ConfigurationError:
         """One line that says what is wrong with a key of robot.yaml, and where it stands there."""

@@ -1,8 +1,8 @@
-"""The tables of robot.yaml: what a robot consists of. How it moves stands in ``motion_tables.py``."""
+"""The tables of robot.yaml: what a robot consists of. What it may be asked to do stands in ``motion_tables.py``."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
@@ -10,16 +10,10 @@ from valor.common.table import NonNegative, Positive, Table, TableError, require
 from valor.devices.kinds import DeviceTable
 from valor.devices.table import Calibration, SupplyLimits
 from valor.robot.motion_tables import (
-    Disturbance,
-    Estimator,
-    FallDetection,
     Footsteps,
-    GainLimits,
-    HandMotion,
     PelvisMotion,
     SelfCollision,
     Walking,
-    WholeBody,
 )
 from valor.robot.rules import RULES
 
@@ -144,6 +138,10 @@ Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
 """Name of a posture → side → joint → position."""
 
 
+Section = dict[str, Any]
+"""A table that its reader has beside itself, and checks: see ``RobotDescription.read``."""
+
+
 class RobotTables(Table, kw_only=True):
     """robot.yaml as a whole."""
 
@@ -166,17 +164,17 @@ class RobotTables(Table, kw_only=True):
     arm_presets: Presets  # [rad]
     hand_presets: Presets = {}  # [rad]
     actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
-    fall: FallDetection
+    fall: Section
     footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
-    whole_body: WholeBody = WholeBody()
+    whole_body: Section = {}
     walking: Walking = Walking()
     pelvis: PelvisMotion = PelvisMotion()
-    disturbance: Disturbance = Disturbance()
-    gains: GainLimits = GainLimits()
+    disturbance: Section = {}
+    gains: Section = {}
     weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
-    hand_goals: HandMotion = HandMotion()
+    hand_goals: Section = {}
     self_collision: SelfCollision = SelfCollision()
-    estimator: Estimator = Estimator()
+    estimator: Section = {}
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
     devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order in which they are found and enabled
     calibration: Calibration = Calibration()

@@ -22,6 +22,7 @@ from valor.common.errors import ConfigurationError, ValorError, expected, requir
 from valor.common.instance import ClockMode, Instance, Recording, RosCommands, Settings
 from valor.common.processes import RECORDER
 from valor.common.resources import profile_file, robot_folder
+from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES
 from valor.valorctl import mode_names, recording_options
@@ -115,6 +116,7 @@ def _robot_folder(request: Request, default: str, file: Path) -> Path:
 
 def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
     """A robot that somebody is to move must be one that can stand, and profile and robot must fit each other."""
+    robot.read(Tuning)
     known = [f"can{device.bus}" if hasattr(device, "bus") else name for name, device in robot.tables.devices.items()]
     for port in profile.ports:
         if port not in known:

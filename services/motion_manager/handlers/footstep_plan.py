@@ -18,6 +18,7 @@ from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanReque
 from valor.common.topics import FOOTSTEP_PLAN
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.walking.footsteps import FEET, LEFT, Step, reach_refusal
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose
@@ -57,7 +58,7 @@ class FootstepPlanHandler:
             recovering: whether the robot takes steps of its own to keep its balance.
         """
         self._limits, self._walking = robot.tables.footsteps, robot.tables.walking
-        self._adjustable = robot.tables.disturbance.plan_reach
+        self._adjustable = robot.read(Tuning).disturbance.plan_reach
         self._feet = (robot.tables.feet.left, robot.tables.feet.right)
         self._fsm = fsm
         self._queue = queue

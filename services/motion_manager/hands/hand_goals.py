@@ -21,10 +21,10 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
 from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
+from valor.motion_manager.tuning_tables import HandMotion, Tuning
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.model import Model
-from valor.robot.motion_tables import HandMotion
 
 SIDES = ("left", "right")
 GRACE = 0.05  # from a goal to its first motion, in which others learn that the arm is led by it [s]
@@ -164,7 +164,7 @@ class _Arm:
         self.joints = robot.group_indices(f"{side}_arm")
         dof = ModelJoints(model).group(f"{side}_arm")
         self.qpos, self._dof = 7 + dof, 6 + dof
-        self._table: HandMotion = robot.tables.hand_goals
+        self._table: HandMotion = robot.read(Tuning).hand_goals
         self._site = model.site(getattr(robot.tables.hands, side).site)
         self._place: FloatArray = data.site_xpos[self._site]
         self._turn: FloatArray = data.site_xmat[self._site].reshape(3, 3)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.joint_reference import Joints
+from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]
@@ -30,7 +31,7 @@ class JointGains:
         """
         self.impedance = impedance
         self._nominal = (robot.servo_stiffness, robot.servo_damping)
-        table = robot.tables.gains
+        table = robot.read(Tuning).gains
         self.lower_stiffness, self.upper_stiffness = (
             factor * robot.servo_stiffness for factor in (table.min_stiffness, table.max_stiffness)
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import acos, degrees
 
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body import RobotState
 from valor.robot.description import RobotDescription
 
@@ -18,7 +19,7 @@ class Stance:
     def __init__(self, robot: RobotDescription, weight: float) -> None:
         """``weight`` of the robot [N]."""
         self._weight = weight
-        self._tilt = UPRIGHT * robot.tables.fall.tilt
+        self._tilt = UPRIGHT * robot.read(Tuning).fall.tilt
 
     def lost(self, state: RobotState) -> str:
         """Why it does not stand."""

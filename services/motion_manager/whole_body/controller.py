@@ -13,6 +13,7 @@ from math import sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.constraints.contact import FootContacts
@@ -51,7 +52,7 @@ class WholeBodyController:
     """
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
-        table = robot.tables.whole_body
+        table = robot.read(Tuning).whole_body
         joints = ModelJoints(model)
         self._table = table
         self._joints = joints
@@ -95,7 +96,7 @@ class WholeBodyController:
         self.step_source: StepSource | None = None
         self.may_recover = True
         self.watch = BalanceWatch(robot)
-        self._recovers = robot.tables.disturbance.step_when_standing
+        self._recovers = robot.read(Tuning).disturbance.step_when_standing
         self._recovery = RecoverySteps(robot)
         self._contacts = FootContacts(robot, model.mj.nv)
         effort: FloatArray = robot.effort_limit[joints.places]

@@ -15,6 +15,7 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body import FloatingBaseEstimator, RobotState
 from valor.motion_manager.whole_body.estimation.attitude import LARGEST_LEVEL, Attitude
 from valor.motion_manager.whole_body.estimation.odometry import FEET, NOTHING, SIZE, Odometry
@@ -120,7 +121,7 @@ def measured(robot: RobotDescription) -> Proprioceptor:
 def test_contact_has_hysteresis(robot: RobotDescription, model: Model, measured: Proprioceptor) -> None:
     estimator = FloatingBaseEstimator(robot, model)
     weight = Dynamics(model, motions(model)).mass * 9.81
-    table = robot.tables.estimator
+    table = robot.read(Tuning).estimator
     between = 0.5 * (table.contact_on + table.contact_off) * weight
     contacts = []
     for k, left in enumerate(
@@ -182,7 +183,7 @@ def test_heading_drift_of_the_imu_is_held_by_the_feet(
     assert state is not None
     drift = rotation.mean_yaw(*state.sole_rotations_in_odom)
     assert abs(drift) < 0.2 * rate * 10.0
-    assert abs(drift) < 2.0 * rate * robot.tables.estimator.heading_time_constant
+    assert abs(drift) < 2.0 * rate * robot.read(Tuning).estimator.heading_time_constant
 
 
 def test_attitude_filter_takes_the_gyroscopes_motion_and_the_imus_level() -> None:
@@ -363,7 +364,7 @@ def test_a_slipping_foot_is_not_believed(robot: RobotDescription, model: Model, 
 def test_the_filters_covariance_stays_one(robot: RobotDescription) -> None:
     """Symmetric and positive after twenty thousand periods of irregular length, footholds and absences."""
     rng = np.random.default_rng(0)
-    table = robot.tables.estimator
+    table = robot.read(Tuning).estimator
     state, covariance, _ = before = np.zeros((SIZE, 3)), np.zeros((SIZE, SIZE)), np.zeros(3)
     after = tuple(array.copy() for array in before)
     felt, landed, noise, variances, dt = np.zeros(3), np.zeros(2), np.zeros((4, 3)), np.zeros(4), np.zeros(1)

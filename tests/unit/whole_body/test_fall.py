@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 
 from harness.closed_loop import ClosedLoop
 from valor.common import rotation
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body import FallDetector, RobotState
 from valor.motion_manager.whole_body.balance.support import (
     Point,
@@ -110,7 +111,7 @@ def test_standing_is_no_fall(robot: RobotDescription, standing: RobotState) -> N
 
 
 def test_tilt(robot: RobotDescription, standing: RobotState) -> None:
-    limit = robot.tables.fall.tilt
+    limit = robot.read(Tuning).fall.tilt
     assert FallDetector(robot).update(turned(standing, limit - 0.01)) is None
     reason = FallDetector(robot).update(turned(standing, limit + 0.02))
     assert reason is not None
@@ -119,14 +120,14 @@ def test_tilt(robot: RobotDescription, standing: RobotState) -> None:
 
 
 def test_height(robot: RobotDescription, standing: RobotState) -> None:
-    lowest = robot.tables.fall.height * robot.tables.nominal_base_height
+    lowest = robot.read(Tuning).fall.height * robot.tables.nominal_base_height
     low = standing.pelvis_position_in_odom * (1.0, 1.0, 0.0) + (0.0, 0.0, lowest - 0.01)
     reason = FallDetector(robot).update(dataclasses.replace(standing, pelvis_position_in_odom=low))
     assert reason == f"pelvis {lowest - 0.01:.2f} m above the soles, limit {lowest:.2f} m"
 
 
 def test_dcm_outside_the_polygon_for_long_enough(robot: RobotDescription, standing: RobotState) -> None:
-    margin, duration = robot.tables.fall.dcm_margin, round(robot.tables.fall.dcm_duration * 1e3)
+    margin, duration = robot.read(Tuning).fall.dcm_margin, round(robot.read(Tuning).fall.dcm_duration * 1e3)
     detector = FallDetector(robot)
     assert detector.update(dcm_at(robot, standing, -0.005, 0)) is None
     assert detector.update(dcm_at(robot, standing, margin - 0.005, 2)) is None
@@ -139,7 +140,7 @@ def test_dcm_outside_the_polygon_for_long_enough(robot: RobotDescription, standi
 
 
 def test_dcm_that_comes_back_begins_anew(robot: RobotDescription, standing: RobotState) -> None:
-    margin, duration = robot.tables.fall.dcm_margin, round(robot.tables.fall.dcm_duration * 1e3)
+    margin, duration = robot.read(Tuning).fall.dcm_margin, round(robot.read(Tuning).fall.dcm_duration * 1e3)
     detector = FallDetector(robot)
     assert detector.update(dcm_at(robot, standing, margin + 0.01, 0)) is None
     assert detector.update(dcm_at(robot, standing, -0.02, 2)) is None

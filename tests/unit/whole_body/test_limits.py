@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from harness.closed_loop import load_robot
 from harness.examples import examples
 from valor.motion_manager.kernel import Kernel
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
 
 ROBOT = load_robot()
-LIMITS = JointLimits(ROBOT, ROBOT.tables.whole_body, slice(0, 27))
+LIMITS = JointLimits(ROBOT, ROBOT.read(Tuning).whole_body, slice(0, 27))
 POSITION, VELOCITY, LOWEST, HIGHEST = np.zeros((4, 27))
 KERNEL = Kernel("limits", LIMITS.acceleration, (POSITION, VELOCITY), (LOWEST, HIGHEST))
 LOWER, UPPER = ROBOT.lower[:27], ROBOT.upper[:27]

@@ -11,6 +11,7 @@ import pytest
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
 from valor.common.rotation import IDENTITY
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.constraints.contact import FootContacts, contact_points, sole_generators
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.model.motion import FEET
@@ -84,7 +85,7 @@ def problem(robot: RobotDescription, model: Model, state: RandomState, seed: int
     rng = np.random.default_rng(seed)
     dynamics = state.evaluate(model)
     objective = Objective([task(robot) for task in TASKS], motions(model), dynamics.joints)
-    objective.weigh(dict(zip(WEIGHTS, nominal_weights(robot.tables.whole_body), strict=True)), None)
+    objective.weigh(dict(zip(WEIGHTS, nominal_weights(robot.read(Tuning).whole_body), strict=True)), None)
     objective.update(
         dynamics, rng.normal(scale=2.0, size=dynamics.drift.size), rng.normal(scale=5.0, size=dynamics.joints.count)
     )
@@ -249,7 +250,7 @@ def test_an_objective_without_a_minimum_cannot_be_solved(random_problem: Problem
 
 def test_generators_span_friction_and_the_cop_rectangle(robot: RobotDescription) -> None:
     """Any non-negative sum is within the friction cone, pushes, and has its CoP within the contact points."""
-    table, foot = robot.tables.whole_body, robot.tables.feet.left
+    table, foot = robot.read(Tuning).whole_body, robot.tables.feet.left
     points = contact_points(foot, table.contact_inset)
     wrenches = sole_generators(points, table.friction)
     rng = np.random.default_rng(3)
@@ -270,7 +271,7 @@ def test_generalised_forces_are_those_of_the_wrenches(robot: RobotDescription, m
     generalised = np.zeros(model.mj.nv)
     vertical = []
     for i in range(2):
-        wrench = sole_generators(contacts.points[i], robot.tables.whole_body.friction) @ rho[16 * i : 16 * i + 16]
+        wrench = sole_generators(contacts.points[i], robot.read(Tuning).whole_body.friction) @ rho[16 * i : 16 * i + 16]
         turn = dynamics.sole_rotation[i]
         sole = dynamics.jacobian[dynamics.rows[FEET]][6 * i : 6 * i + 6]
         generalised += sole[:3].T @ (turn @ wrench[:3])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from harness.closed_loop import ClosedLoop, load_robot
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from valor.motion_manager.whole_body.walking.swing import SolePose
@@ -120,7 +121,7 @@ def test_the_watch_tells_once_and_again_only_after_the_dcm_was_well_inside() -> 
     loop = ClosedLoop(load_robot())
     loop.run(0.1)
     reference, time = loop.command.dcm_reference_in_odom, loop.state.time
-    watch, table, foot = BalanceWatch(loop.robot), loop.robot.tables.disturbance, loop.robot.tables.feet.left
+    watch, table, foot = BalanceWatch(loop.robot), loop.robot.read(Tuning).disturbance, loop.robot.tables.feet.left
     edge = 0.5 * (foot.toe - foot.heel)
 
     def told(forward: float, periods: int) -> int:

@@ -13,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from harness.closed_loop import load_robot
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
 from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
 from valor.motion_manager.whole_body.walking.step_guard import StepGuard
@@ -85,7 +86,7 @@ def test_without_an_error_nothing_changes(foot: int, heading: float, left: float
 def test_whatever_the_error_the_step_is_within_reach(
     foot: int, x: float, y: float, error: tuple[float, float], heading: float, left: float
 ) -> None:
-    limits, table = ROBOT.tables.footsteps, ROBOT.tables.disturbance
+    limits, table = ROBOT.tables.footsteps, ROBOT.read(Tuning).disturbance
     assert limits is not None
     asked = situation(foot, (x, y), error, left, heading=heading)
     found = adjust(asked)
@@ -132,10 +133,12 @@ def test_a_push_forward_is_a_longer_step_and_one_inwards_a_sooner_one(foot: int)
 
 def test_it_is_the_optimum_of_the_problem_in_times_and_places() -> None:
     """IPOPT on the problem as one would write it down, in T and in the CoP."""
-    table = ROBOT.tables.disturbance
+    table, inset = ROBOT.read(Tuning).disturbance, ROBOT.read(Tuning).whole_body.contact_inset
     tables = ROBOT.tables
-    lx = table.cop_share * (0.5 * (tables.feet.left.toe - tables.feet.left.heel) - tables.whole_body.contact_inset)
-    ly = table.cop_share * (tables.feet.left.half_width - tables.whole_body.contact_inset)
+    lx = table.cop_share * (
+        0.5 * (tables.feet.left.toe - tables.feet.left.heel) - ROBOT.read(Tuning).whole_body.contact_inset
+    )
+    ly = table.cop_share * (tables.feet.left.half_width - inset)
     for error in ((0.05, 0.0), (-0.06, 0.02), (0.02, 0.05), (0.03, -0.03)):
         asked = situation(LEFT, (0.15, 0.2), error, 0.4)
         found = adjust(asked)

@@ -13,6 +13,7 @@ import pytest
 from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
 from valor.common import rotation
 from valor.motion_manager.kernel import Expression
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.reference import Feet, Reference
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
@@ -131,7 +132,7 @@ def period(
     vectors = [ca.DM(RNG.normal(scale=0.1, size=3)) for _ in range(6)]
     reference = Reference(*vectors[:5], ca.DM(RNG.normal(size=3)), ca.DM(0.5), *turned)
     feet = Feet(ca.DM(dynamics.sole_position), ca.DM(dynamics.sole_rotation.reshape(6, 3)))
-    law = DcmLaw(3.5, robot.tables.whole_body.dcm_gain, 1.0, 0.1, 0.01)
+    law = DcmLaw(3.5, robot.read(Tuning).whole_body.dcm_gain, 1.0, 0.1, 0.01)
     swing = np.concatenate((RNG.normal(size=3), np.eye(3).ravel(), RNG.normal(size=12)))
     kept = stance(feet) + ca.DM((0.01, -0.02, 0.03))
     flags = ca.DM([swinging == 0, swinging == 1])
@@ -164,14 +165,14 @@ def test_the_com_is_led_away_from_the_repellent_point(
 def test_angular_momentum_is_damped(robot: RobotDescription, model: Model, state: RandomState) -> None:
     now, _ = period(robot, dynamics := state.evaluate(model), steps=False, swinging=None)
     wanted, momentum = asked(named("angular_momentum"), robot, model, now, dynamics)
-    np.testing.assert_allclose(wanted, -robot.tables.whole_body.angular_momentum_gain * momentum)
+    np.testing.assert_allclose(wanted, -robot.read(Tuning).whole_body.angular_momentum_gain * momentum)
 
 
 @pytest.mark.parametrize("name", ["chest", "pelvis"])
 def test_orientations_follow_the_reference(
     robot: RobotDescription, model: Model, state: RandomState, name: str
 ) -> None:
-    table = robot.tables.whole_body
+    table = robot.read(Tuning).whole_body
     now, _ = period(robot, dynamics := state.evaluate(model), steps=False, swinging=None)
     wanted, velocity = asked(named(name), robot, model, now, dynamics)
     actual = of_body(model, state.data, getattr(model.robot.tables, "base" if name == "pelvis" else name))[0]
@@ -185,7 +186,7 @@ def test_orientations_follow_the_reference(
 def test_feet_stay_or_follow_their_path(
     robot: RobotDescription, model: Model, state: RandomState, swinging: int | None
 ) -> None:
-    walking, damping = robot.tables.walking, robot.tables.whole_body.foot_damping
+    walking, damping = robot.tables.walking, robot.read(Tuning).whole_body.foot_damping
     now, swing = period(robot, dynamics := state.evaluate(model), steps=True, swinging=swinging)
     wanted, velocity = asked(named("feet"), robot, model, now, dynamics)
     for foot in range(2):
@@ -203,14 +204,14 @@ def test_feet_stay_or_follow_their_path(
 def test_feet_that_stand_are_held_to_each_other(robot: RobotDescription, model: Model, state: RandomState) -> None:
     now, _ = period(robot, dynamics := state.evaluate(model), steps=False, swinging=None)
     wanted, velocity = asked(named("feet"), robot, model, now, dynamics)
-    held = wanted + robot.tables.whole_body.foot_damping * velocity
+    held = wanted + robot.read(Tuning).whole_body.foot_damping * velocity
     np.testing.assert_allclose(held[:6], -held[6:], atol=1e-9)
-    assert held[5] == pytest.approx(0.5 * robot.tables.whole_body.stance_stiffness * 0.03)
+    assert held[5] == pytest.approx(0.5 * robot.read(Tuning).whole_body.stance_stiffness * 0.03)
 
 
 def test_posture_is_followed_no_faster_than_allowed(robot: RobotDescription, model: Model) -> None:
     """Near its reference a joint is led by k_p and k_d; far from it, it makes up for half of its velocity limit."""
-    table, joints = robot.tables.whole_body, Dynamics(model, motions(model)).joints
+    table, joints = robot.read(Tuning).whole_body, Dynamics(model, motions(model)).joints
     legs = joints.group("left_leg", "right_leg").tolist()
     posture = Posture(robot, joints.places, legs)
     n, arm = joints.count, int(joints.group("right_arm")[0])
@@ -254,6 +255,6 @@ def test_the_objective_weighs_each_task_by_its_own_weight(robot: RobotDescriptio
 def test_weights_are_those_of_the_robot_and_named_as_the_interface_has_them(robot: RobotDescription) -> None:
     assert WEIGHTS[:4] == ("com", "angular_momentum", "orientation", "foot")
     assert WEIGHTS[-3:] == ("arm_posture", "waist_posture", "leg_posture")
-    table = robot.tables.whole_body
+    table = robot.read(Tuning).whole_body
     assert nominal_weights(table)[:2] == [table.com_weight, table.angular_momentum_weight]
     assert nominal_weights(table)[-1] == table.leg_posture_weight

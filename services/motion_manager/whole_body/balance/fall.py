@@ -12,6 +12,7 @@ from __future__ import annotations
 from math import acos, degrees
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.support import (
     convex_hull,
     corners_on_ground,
@@ -29,8 +30,8 @@ class FallDetector:
 
     def __init__(self, robot: RobotDescription) -> None:
         tables = robot.tables
-        self._limits = tables.fall
-        self._lowest = tables.fall.height * tables.nominal_base_height
+        self._limits = limits = robot.read(Tuning).fall
+        self._lowest = limits.height * tables.nominal_base_height
         self._corners = sole_corners(tables.feet)
         self._radius = inner_radius(tables.feet)
         self._outside_since: int | None = None

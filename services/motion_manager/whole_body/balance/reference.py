@@ -15,6 +15,7 @@ import numpy as np
 
 from valor.common import rotation
 from valor.motion_manager.kernel import Expression, clipped
+from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 
 
@@ -98,7 +99,7 @@ class StandReference:
 
     def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
         """Args: omega: ω [1/s]. com_height: of the CoM above the soles in the nominal posture [m]."""
-        table = robot.tables.whole_body
+        table = robot.read(Tuning).whole_body
         self._table, self._omega = table, omega
         limit = table.com_shift_limit
         self._limit = ca.DM((limit, limit, np.inf)) if limit else ca.DM.zeros(3)

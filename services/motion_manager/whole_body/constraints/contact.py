@@ -14,6 +14,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.tables import Foot
 
@@ -50,7 +51,7 @@ class FootContacts:
     """
 
     def __init__(self, robot: RobotDescription, nv: int) -> None:
-        feet, table = robot.tables.feet, robot.tables.whole_body
+        feet, table = robot.tables.feet, robot.read(Tuning).whole_body
         self.points = np.array([contact_points(foot, table.contact_inset) for foot in (feet.left, feet.right)])
         self.count = 2 * GENERATORS
         self.forces = np.zeros((self.count, nv))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from valor.motion_manager.kernel import Expression, clipped
+from valor.motion_manager.tuning_tables import WholeBody
 from valor.robot.description import RobotDescription
 from valor.robot.model import Indices
-from valor.robot.motion_tables import WholeBody
 
 
 class JointLimits:

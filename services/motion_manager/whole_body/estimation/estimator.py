@@ -30,6 +30,7 @@ import numpy.typing as npt
 from valor.common import rotation
 from valor.common.messages import Proprioceptor
 from valor.motion_manager.kernel import Expression, Kernel, parts, pieces
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import roll_pitch_yaw
 from valor.motion_manager.whole_body.estimation import attitude, foot_contact
@@ -119,7 +120,7 @@ class FloatingBaseEstimator:
     """
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
-        self._table = table = robot.tables.estimator
+        self._table = table = robot.read(Tuning).estimator
         self.dynamics = dynamics = Dynamics(model, motions(model))
         self._joints = len(robot.joints)
         site = model.site(robot.tables.imu.site)

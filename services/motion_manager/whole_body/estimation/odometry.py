@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from valor.motion_manager.kernel import Expression
-from valor.robot.motion_tables import Estimator
+from valor.motion_manager.tuning_tables import Estimator
 
 POSITION, VELOCITY, BIAS, FEET = 0, 1, 2, 3
 SIZE = 5

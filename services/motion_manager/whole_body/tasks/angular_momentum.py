@@ -9,6 +9,7 @@ weight of 0.003 is already as much as 0.3 on an acceleration.
 from __future__ import annotations
 
 from valor.motion_manager.kernel import Expression
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.model.motion import MomentumMotion, Motion
 from valor.motion_manager.whole_body.tasks.task import Period, Task
 from valor.robot.model import Model
@@ -26,4 +27,4 @@ class AngularMomentum(Task):
 
     def acceleration(self, period: Period, velocity: Expression, pose: Expression) -> Expression:
         """(3,) k̇."""
-        return -self.robot.tables.whole_body.angular_momentum_gain * velocity
+        return -self.robot.read(Tuning).whole_body.angular_momentum_gain * velocity

@@ -14,6 +14,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel, by_rows, pieces
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.balance.reference import Begun, Feet, Led, StandReference
@@ -89,7 +90,7 @@ class DesiredAccelerations:
         self._integrated = set_points.integrated
         self._pelvis, self._upper_body = pelvis, upper_body
         self._reference = StandReference(robot, law.omega, upper_body.nominal_com_height)
-        self._limits = JointLimits(robot, robot.tables.whole_body, joints.places)
+        self._limits = JointLimits(robot, robot.read(Tuning).whole_body, joints.places)
         self._posture = Posture(robot, joints.places, self._legs)
         # Soles' places and rotations, CoM, DCM, pelvis' velocity; velocities and poses of the motions.
         self._sizes = (6, 18, 3, 3, 3, motions.count, motions.size)

@@ -18,6 +18,7 @@ import casadi as ca
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, by_rows, pieces
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.reference import Feet
 from valor.motion_manager.whole_body.model.motion import FEET, Motion, SoleMotions
 from valor.motion_manager.whole_body.tasks.task import Period, Task
@@ -44,7 +45,7 @@ class FootMotion(Task):
 
     def acceleration(self, period: Period, velocity: Expression, pose: Expression) -> Expression:
         """(12,) a."""
-        table = self.robot.tables.whole_body
+        table = self.robot.read(Tuning).whole_body
         wanted = -table.foot_damping * velocity
         wanted += ca.if_else(period.steps, 0.0, hold(period.feet, period.stance, table.stance_stiffness))
         for foot in range(2):

@@ -12,6 +12,7 @@ import casadi as ca
 
 from valor.common import rotation
 from valor.motion_manager.kernel import Expression, by_rows
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.reference import Reference
 from valor.motion_manager.whole_body.model.motion import BodyTurn, Motion, PelvisTurn
 from valor.motion_manager.whole_body.tasks.task import Period, Task
@@ -30,7 +31,7 @@ class _Orientation(Task):
 
     def acceleration(self, period: Period, velocity: Expression, pose: Expression) -> Expression:
         """(3,) ω̇."""
-        table, reference = self.robot.tables.whole_body, period.reference
+        table, reference = self.robot.read(Tuning).whole_body, period.reference
         wanted = table.orientation_stiffness * ca.vertcat(*rotation.error(self.desired(reference), by_rows(pose)))
         return wanted + table.orientation_damping * (reference.turning - velocity)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import casadi as ca
 
 from valor.motion_manager.kernel import Expression, clipped
+from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.model import Indices
 
@@ -35,7 +36,7 @@ class Posture:
             places: of the model's joints among the robot's.
             legs: which of the model's joints are the legs'.
         """
-        self._table, self._legs = robot.tables.whole_body, legs
+        self._table, self._legs = robot.read(Tuning).whole_body, legs
         self._catch_up = ca.DM(CATCH_UP * robot.velocity_limit[places])
 
     def acceleration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from valor.motion_manager.tuning_tables import WholeBody
 from valor.motion_manager.whole_body.model.motion import Motions
 from valor.motion_manager.whole_body.tasks.angular_momentum import AngularMomentum
 from valor.motion_manager.whole_body.tasks.centre_of_mass import CentreOfMass
@@ -10,7 +11,6 @@ from valor.motion_manager.whole_body.tasks.orientation import ChestOrientation, 
 from valor.motion_manager.whole_body.tasks.posture import GROUPS
 from valor.motion_manager.whole_body.tasks.task import Task
 from valor.robot.model import Model
-from valor.robot.motion_tables import WholeBody
 
 TASKS: tuple[type[Task], ...] = (
     CentreOfMass,

@@ -7,8 +7,8 @@ from math import log
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import WholeBody
 from valor.motion_manager.whole_body.tasks.table import nominal_weights
-from valor.robot.motion_tables import WholeBody
 
 DOUBLING_TIME = 0.2  # in which a weight is at most doubled or halved [s]
 

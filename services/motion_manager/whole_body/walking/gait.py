@@ -16,6 +16,7 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.state import RobotState
 from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, StepSource
@@ -66,7 +67,7 @@ class Gait:
         self._landed: int | None = None
         self._sways = True  # before the first step
         self._earliest = 0.0  # of the swing's duration: the foot may have landed
-        self._giving = robot.tables.disturbance.giving
+        self._giving = robot.read(Tuning).disturbance.giving
         self._planned_lowering = 0.0  # of the CoM over the stance foot [m]
         self._lower = self._lowered = 0.0  # by how much more it shall be, and is, for a step that was adjusted [m]
         self.active = False

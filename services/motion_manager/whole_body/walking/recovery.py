@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from math import hypot, inf
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.support import (
     convex_hull,
     corners_on_ground,
@@ -36,7 +37,7 @@ class BalanceWatch:
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._table = robot.tables.disturbance
+        self._table = robot.read(Tuning).disturbance
         self._corners = sole_corners(robot.tables.feet)
         self._near_since: int | None = None
         self._armed = True
@@ -76,7 +77,7 @@ class RecoverySteps:
     """A ``StepSource`` that brings each foot beside the other, quickly, until both are there."""
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._walking, self._table = robot.tables.walking, robot.tables.disturbance
+        self._walking, self._table = robot.tables.walking, robot.read(Tuning).disturbance
         self._foot = LEFT
         self._leads = True
 

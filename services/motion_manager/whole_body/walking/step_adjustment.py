@@ -33,6 +33,7 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
@@ -84,8 +85,8 @@ class StepAdjuster:
             omega: ω [1/s].
         """
         assert robot.tables.footsteps is not None
-        self._reach, self._table, self._omega = robot.tables.footsteps, robot.tables.disturbance, omega
-        feet, inset = robot.tables.feet, robot.tables.whole_body.contact_inset
+        self._reach, self._table, self._omega = robot.tables.footsteps, robot.read(Tuning).disturbance, omega
+        feet, inset = robot.tables.feet, robot.read(Tuning).whole_body.contact_inset
         share = self._table.cop_share
         self._cop = [
             (share * (0.5 * (foot.toe - foot.heel) - inset), share * (foot.half_width - inset))

@@ -19,6 +19,7 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.walking.footsteps import Step
 from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster, transfer_gain
 from valor.motion_manager.whole_body.walking.swing import SolePose
@@ -34,7 +35,7 @@ class StepGuard:
 
     def __init__(self, robot: RobotDescription, omega: float) -> None:
         """Args: omega: ω [1/s]."""
-        self._table, self._omega = robot.tables.disturbance, omega
+        self._table, self._omega = robot.read(Tuning).disturbance, omega
         enabled = self._table.adjust_steps and robot.tables.footsteps is not None
         self._adjuster = StepAdjuster(robot, omega) if enabled else None
         self._situation: Situation
