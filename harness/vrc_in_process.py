@@ -18,7 +18,7 @@ from harness.motion_states import motion_state
 from harness.places import ROBOTS
 from valor.common import topics
 from valor.common.arrays import FloatArray
-from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion
+from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion, Manipulation
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
 from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
@@ -28,7 +28,7 @@ from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import UpperBody
 from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.whole_body.balance.pelvis import pelvis_limits
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
@@ -163,12 +163,8 @@ class MotionSystem:
     def __init__(self, time: int, position: FloatArray) -> None:
         self.fsm = BehaviorFsm()
         self.reference = JointReference(ROBOT)
-        table, height = ROBOT.tables.pelvis, ROBOT.tables.nominal_base_height
-        self._pelvis = Limiter(
-            *pelvis_limits(table, height),
-            np.repeat((table.max_speed, table.max_turn_rate), 3),
-            np.repeat((table.max_acceleration, table.max_turn_acceleration), 3),
-        )
+        height = ROBOT.tables.nominal_base_height
+        self._pelvis = Limiter(CommandedLimits.of_pelvis(ROBOT))
         self._pelvis_target = np.array((0.0, 0.0, height, 0.0, 0.0, 0.0))
         self._pelvis.reset(np.ones(6, dtype=bool), self._pelvis_target)
         self.rejections = Rejections()
@@ -212,7 +208,10 @@ class MotionSystem:
         self._upper_body.update(now)
         self.reference.advance(now, PERIOD * 1e-9)
         self._pelvis.advance(self._pelvis_target, np.zeros(6), PERIOD * 1e-9)
+        arms = "setpoints" if fsm.manipulation is Manipulation.TELEOP else "nobody"
         return motion_state(
+            left_arm=arms,
+            right_arm=arms,
             time=time,
             proprioceptor_sequence=sequence,
             behavior=str(fsm.behavior),

@@ -10,10 +10,8 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel, clipped
-from valor.robot.description import RobotDescription
+from valor.robot.commanded_limits import CommandedLimits
 
-VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
-ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]; robots publish no acceleration limits
 BRAKE_FACTOR = 0.9  # of the acceleration, that braking is planned with
 
 
@@ -28,20 +26,15 @@ class Limiter:
         position: (n,) commanded.
         velocity: (n,) commanded [1/s].
         acceleration: (n,) commanded [1/s²].
-        velocity_limit: (n,) [1/s].
-        acceleration_limit: (n,) [1/s²].
+        limits: what is kept.
     """
 
-    def __init__(
-        self, lower: FloatArray, upper: FloatArray, velocity_limit: FloatArray, acceleration_limit: FloatArray
-    ) -> None:
+    def __init__(self, limits: CommandedLimits) -> None:
         """At rest at 0, or at the limit next to it."""
-        n = len(lower)
-        self._lower, self._upper = lower, upper
-        self.velocity_limit = velocity_limit
-        self.acceleration_limit = acceleration_limit
-        self._brake: FloatArray = BRAKE_FACTOR * acceleration_limit
-        self.position = np.clip(np.zeros(n), lower, upper)
+        n = len(limits.names)
+        self.limits = limits
+        self._brake: FloatArray = BRAKE_FACTOR * limits.acceleration
+        self.position = limits.position_within(np.zeros(n))
         self.velocity = np.zeros(n)
         self.acceleration = np.zeros(n)
         self._asked, self._dt, self._next = np.zeros((4, n)), np.zeros(1), np.zeros((3, n))
@@ -67,7 +60,7 @@ class Limiter:
 
     def _within_limits(self, position: FloatArray) -> FloatArray:
         """Positions within the limits, where those of what was found outside begin there."""
-        lower, upper = np.minimum(self._lower, self.position), np.maximum(self._upper, self.position)
+        lower, upper = np.minimum(self.limits.lower, self.position), np.maximum(self.limits.upper, self.position)
         within: FloatArray = np.maximum(np.minimum(position, upper), lower)
         return within
 
@@ -89,8 +82,9 @@ class Limiter:
 
     def _expressions(self, asked: Expression, dt: Expression) -> Sequence[Expression]:
         target, target_velocity, now, before = (asked[i, :].T for i in range(4))
-        lower, upper, highest = ca.DM(self._lower), ca.DM(self._upper), ca.DM(self.velocity_limit)
-        brake, step = ca.DM(self._brake), ca.DM(self.acceleration_limit) * dt
+        limits = self.limits
+        lower, upper, highest = ca.DM(limits.lower), ca.DM(limits.upper), ca.DM(limits.fastest)
+        brake, step = ca.DM(self._brake), ca.DM(limits.acceleration) * dt
         half_step = 0.5 * dt * brake
         error = clipped(target, lower, upper) - target_velocity * dt - now
         distance = ca.fabs(error)
@@ -108,15 +102,6 @@ class Limiter:
         position = clipped(now + velocity * dt, ca.fmin(lower, now), ca.fmax(upper, now))
         velocity = (position - now) / dt
         return [ca.horzcat(position, velocity, (velocity - before) / dt).T]
-
-
-class JointLimiter(Limiter):
-    """The commanded position of every joint of a robot [rad]."""
-
-    def __init__(self, robot: RobotDescription) -> None:
-        super().__init__(
-            robot.lower, robot.upper, VELOCITY_FACTOR * robot.velocity_limit, robot.velocity_limit / ACCELERATION_TIME
-        )
 
 
 def _braking_speed(distance: Expression, brake: Expression, half_step: Expression) -> Expression:

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.tables import Joint
 
 if TYPE_CHECKING:
     from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link
@@ -34,11 +34,12 @@ def robot_description(robot: RobotDescription, tree: KinematicTree, mj: mujoco.M
     """The URDF.
 
     Args:
-        robot: its description: limits.
+        robot: its description.
         tree: links, joints and frames.
         mj: the full model, with all geoms: inertias and shapes.
     """
     root = ElementTree.Element("robot", name=robot.name)
+    limits = CommandedLimits.of_joints(robot)
     _link(root, mj, tree.base_frame, tree.base if tree.base == tree.base_frame else "")
     if tree.base != tree.base_frame:
         _link(root, mj, tree.base, tree.base)
@@ -54,7 +55,9 @@ def robot_description(robot: RobotDescription, tree: KinematicTree, mj: mujoco.M
             ElementTree.SubElement(root, "link", name=child)
             _fix(root, link.name, child, -anchor, np.eye(3))
         if link.joint:
-            joint = _hinge(root, robot.tables.joints[link.joint], link)
+            joint = _hinge(root, limits, robot.index[link.joint], link)
+            damping = robot.tables.joints[link.joint].damping
+            ElementTree.SubElement(joint, "dynamics", damping=_number(damping))
             _place(joint, child, parent, position + rotation @ anchor, rotation)
         else:
             _fix(root, child, parent, position, rotation)
@@ -114,16 +117,16 @@ def _material(part: ElementTree.Element, mj: mujoco.MjModel, geom: int) -> None:
     ElementTree.SubElement(ElementTree.SubElement(part, "material", name=name), "color", rgba=_numbers(color))
 
 
-def _hinge(root: ElementTree.Element, table: Joint, link: Link) -> ElementTree.Element:
-    """A joint of the robot, with its limits."""
-    bounded = table.lower is not None and table.upper is not None
+def _hinge(root: ElementTree.Element, limits: CommandedLimits, place: int, link: Link) -> ElementTree.Element:
+    """A joint of the robot, with the limits of what it may be commanded."""
+    lower, upper = limits.lower[place], limits.upper[place]
+    bounded = bool(np.isfinite(lower))
     joint = ElementTree.SubElement(root, "joint", name=link.joint, type="revolute" if bounded else "continuous")
     ElementTree.SubElement(joint, "axis", xyz=_numbers(link.axis))
-    limit = {"effort": _number(table.effort), "velocity": _number(table.velocity)}
-    if table.lower is not None and table.upper is not None:
-        limit |= {"lower": _number(table.lower), "upper": _number(table.upper)}
+    limit = {"effort": _number(limits.effort[place]), "velocity": _number(limits.velocity[place])}
+    if bounded:
+        limit |= {"lower": _number(lower), "upper": _number(upper)}
     ElementTree.SubElement(joint, "limit", limit)
-    ElementTree.SubElement(joint, "dynamics", damping=_number(table.damping))
     return joint
 
 

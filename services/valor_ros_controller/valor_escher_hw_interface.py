@@ -12,12 +12,11 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState, Proprioceptor
+from valor.robot.commanded_limits import CommandedLimits, Indices
 from valor.robot.description import RobotDescription
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 
 PELVIS = "pelvis"
 """Stands for the pelvis' six among the groups of joints."""
-PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 LONGEST_STEP = 0.02
 """A set-point never moves farther at once than its joint may in this time [s], however late the cycle is."""
 
@@ -47,17 +46,10 @@ class ValorEscherHWInterface:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
-        self.names: tuple[str, ...] = (*robot.joints, *PELVIS_NAMES)
+        self._limits = CommandedLimits.of_joints(robot).and_of(CommandedLimits.of_pelvis(robot))
+        self.names = self._limits.names
         self.pelvis = len(robot.joints)
         n = len(self.names)
-        self._units = ("rad",) * self.pelvis + ("m",) * 3 + ("rad",) * 3
-        table, height = robot.tables.pelvis, robot.tables.nominal_base_height
-        shift, turn = table.max_shift, (table.max_roll, table.max_pitch, table.max_yaw)
-        lower = (-shift, -shift, height - table.max_down, *(-angle for angle in turn))
-        self._lower: FloatArray = np.concatenate((robot.lower, lower))
-        self._upper: FloatArray = np.concatenate((robot.upper, (shift, shift, height + table.max_up, *turn)))
-        speeds = np.repeat((table.max_speed, table.max_turn_rate), 3)
-        self._speed: FloatArray = np.concatenate((robot.velocity_limit, speeds))
         self.time = 0
         self.measured: Proprioceptor | None = None
         self.motion: MotionState | None = None
@@ -86,15 +78,9 @@ class ValorEscherHWInterface:
         six = np.arange(self.pelvis, self.pelvis + 6)
         return np.concatenate([six if group == PELVIS else self.robot.group_indices(group) for group in groups])
 
-    def limits(self, joints: Indices) -> JointLimits:
+    def limits(self, joints: Indices) -> CommandedLimits:
         """Names and limits of some joints, in their order."""
-        return JointLimits(
-            tuple(self.names[i] for i in joints),
-            tuple(self._units[i] for i in joints),
-            self._lower[joints],
-            self._upper[joints],
-            self._speed[joints],
-        )
+        return self._limits.select(joints)
 
     # --- who writes what ------------------------------------------------------------------------------------------
 
@@ -138,8 +124,7 @@ class ValorEscherHWInterface:
         self._keep()
         groups = list(self._writing.values())
         self._indices = indices = np.sort(np.concatenate(groups)) if groups else np.zeros(0, dtype=np.intp)
-        self._lowest, self._highest = self._lower[indices], self._upper[indices]
-        self._fastest = self._speed[indices]
+        self._selected = self._limits.select(indices)
         # A joint that joins begins where its controller begins, at what the Motion System commands; one that was
         # sent a moment ago goes on from there.
         recent = np.abs(self.time - self._sent_time[indices]) <= LONGEST_STEP * 1e9
@@ -164,14 +149,12 @@ class ValorEscherHWInterface:
         Returns:
             (m,) position [rad or m], velocity [1/s], acceleration [1/s²] of the joints ``written``.
         """
-        indices, base, fastest = self._indices, self._base, self._fastest
+        indices, base, limits = self._indices, self._base, self._selected
         wanted = self.command_position[indices] + self.command_offset[indices]
-        step = fastest * min(max(0, self.time - self._base_time) * 1e-9, LONGEST_STEP) + 1e-9
+        step = limits.fastest * min(max(0, self.time - self._base_time) * 1e-9, LONGEST_STEP) + 1e-9
         self._base_time = self.time
-        # np.minimum and np.maximum: np.clip costs several times as much on vectors this short.
-        position = np.minimum(np.maximum(wanted, base - step), base + step)
-        position = np.minimum(np.maximum(position, self._lowest), self._highest)
-        velocity = np.minimum(np.maximum(self.command_velocity[indices], -fastest), fastest)
+        position = limits.position_within(np.minimum(np.maximum(wanted, base - step), base + step))
+        velocity = limits.velocity_within(self.command_velocity[indices])
         acceleration = self.command_acceleration[indices]
         if not np.isfinite(position.sum() + velocity.sum() + acceleration.sum()):
             bad = ~(np.isfinite(position) & np.isfinite(velocity) & np.isfinite(acceleration))

@@ -12,10 +12,12 @@ from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
 from valor.motion_manager.joints.posture_move import PostureMove
-from valor.motion_manager.limiter import ACCELERATION_TIME, VELOCITY_FACTOR, JointLimiter
+from valor.motion_manager.limiter import Limiter
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
+LIMITS = CommandedLimits.of_joints(ROBOT)
 N = len(ROBOT.joints)
 DT = ROBOT.control_period
 SLACK = 1.02  # the last step onto a limit may brake so much harder than planned
@@ -32,9 +34,9 @@ class Watch:
         assert np.isfinite(velocity).all()
         moved = (position - self.position) / DT
         assert np.allclose(moved, velocity, atol=1e-9)
-        assert (np.abs(velocity) <= VELOCITY_FACTOR * ROBOT.velocity_limit * (1 + 1e-9)).all()
+        assert (np.abs(velocity) <= LIMITS.fastest * (1 + 1e-9)).all()
         jerked = np.abs(velocity - self.velocity) / DT
-        assert (jerked <= SLACK * ROBOT.velocity_limit / ACCELERATION_TIME).all()
+        assert (jerked <= SLACK * LIMITS.acceleration).all()
         outside = (position < ROBOT.lower - 1e-12) | (position > ROBOT.upper + 1e-12)
         # Outside only where it was found outside, and never further out.
         inwards = np.abs(position - np.clip(position, ROBOT.lower, ROBOT.upper)) <= np.abs(
@@ -51,7 +53,7 @@ class Watch:
 )
 def test_no_target_however_wild_makes_a_joint_pass_a_limit(seed: int, targets: list[tuple[float, float, int]]) -> None:
     rng = np.random.default_rng(seed)
-    limiter = JointLimiter(ROBOT)
+    limiter = Limiter(LIMITS)
     found = rng.uniform(-3, 3, N)
     limiter.reset(np.ones(N, dtype=bool), found)
     watch = Watch(found)
@@ -65,7 +67,7 @@ def test_no_target_however_wild_makes_a_joint_pass_a_limit(seed: int, targets: l
 
 def test_taken_up_where_it_was_it_sets_out_again_as_before() -> None:
     """What is asked is then what was asked before, and yet not where it has come to."""
-    limiter = JointLimiter(ROBOT)
+    limiter = Limiter(LIMITS)
     start, still, everything = limiter.position.copy(), np.zeros(N), np.ones(N, dtype=bool)
     goal = np.clip(start + 0.3, ROBOT.lower, ROBOT.upper)
     limiter.advance(goal, still, DT)
@@ -77,7 +79,7 @@ def test_taken_up_where_it_was_it_sets_out_again_as_before() -> None:
 
 
 def test_a_step_is_reached_without_overshoot_as_fast_as_the_limits_allow() -> None:
-    limiter = JointLimiter(ROBOT)
+    limiter = Limiter(LIMITS)
     start = limiter.position.copy()
     goal = np.clip(np.full(N, 0.5), ROBOT.lower, ROBOT.upper)
     way, beyond, arrived = goal - start, np.zeros(N), np.full(N, np.inf)
@@ -87,14 +89,14 @@ def test_a_step_is_reached_without_overshoot_as_fast_as_the_limits_allow() -> No
         arrived = np.minimum(arrived, np.where(np.abs(limiter.position - goal) < 1e-3, period * DT, np.inf))
     assert beyond.max() < 1e-5
     assert np.abs(limiter.position - goal).max() < 1e-9
-    speed, acceleration = limiter.velocity_limit, limiter.acceleration_limit
+    speed, acceleration = LIMITS.fastest, LIMITS.acceleration
     ramp = np.minimum(speed, np.sqrt(np.abs(way) * acceleration))  # peak velocity of the fastest possible move
     fastest = np.abs(way) / ramp + ramp / acceleration
     assert (arrived <= 1.3 * fastest + 0.01).all()
 
 
 def test_a_trajectory_within_the_limits_is_followed_exactly() -> None:
-    limiter = JointLimiter(ROBOT)
+    limiter = Limiter(LIMITS)
     centre = 0.5 * (np.maximum(ROBOT.lower, -1.0) + np.minimum(ROBOT.upper, 1.0))
     limiter.reset(np.ones(N, dtype=bool), centre)
     amplitude = 0.1 * np.minimum(1.0, ROBOT.velocity_limit)
@@ -171,7 +173,7 @@ def test_no_sequence_of_holds_moves_and_set_points_makes_a_joint_jump(data: st.D
                     places,
                     np.clip(rng.uniform(-4, 4, k), ROBOT.lower[places], ROBOT.upper[places]),
                     rng.uniform(-1, 1, k) * limit,
-                    rng.uniform(-1, 1, k) * limit / ACCELERATION_TIME,
+                    rng.uniform(-1, 1, k) * LIMITS.acceleration[places],
                     now + rng.uniform(-0.5, 0.1),
                 )
             )
@@ -218,20 +220,20 @@ def test_a_set_point_takes_its_joints_out_of_a_move_and_leaves_the_rest_in_it() 
 
 @pytest.mark.parametrize("missed", [1, 5, 10])
 def test_a_longer_period_keeps_the_limits_too(missed: int) -> None:
-    limiter = JointLimiter(ROBOT)
+    limiter = Limiter(LIMITS)
     goal = np.clip(np.full(N, 2.0), ROBOT.lower, ROBOT.upper)
     for _ in range(1000):
         before = limiter.velocity.copy()
         limiter.advance(goal, np.zeros(N), missed * DT)
-        assert (np.abs(limiter.velocity) <= limiter.velocity_limit * (1 + 1e-9)).all()
-        allowed = SLACK * limiter.acceleration_limit * missed * DT
+        assert (np.abs(limiter.velocity) <= LIMITS.fastest * (1 + 1e-9)).all()
+        allowed = SLACK * LIMITS.acceleration * missed * DT
         assert (np.abs(limiter.velocity - before) <= allowed + 1e-9).all()
     assert np.allclose(limiter.position, goal, atol=1e-6)
 
 
 def test_a_target_that_is_no_number_does_not_become_one() -> None:
     """Whoever sends the command must be able to refuse it."""
-    limiter = JointLimiter(ROBOT)
+    limiter = Limiter(LIMITS)
     target = np.zeros(N)
     target[3] = np.nan
     limiter.advance(target, np.zeros(N), DT)

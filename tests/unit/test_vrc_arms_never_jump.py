@@ -18,6 +18,7 @@ from harness.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
 from valor.common import topics
 from valor.common.behaviors import Behavior, Locomotion
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
+from valor.robot.commanded_limits import PELVIS_NAMES
 from valor.valor_ros_controller.controller_switch import Strictness
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
     MOVED,
@@ -27,7 +28,7 @@ from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
 )
 from valor.valor_ros_controller.trajectory.errors import InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
-from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, PELVIS_NAMES
+from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP
 
 ROUNDING = 1e-8  # [rad or m]
 CYCLE = 2 * PERIOD * 1e-9  # [s]
@@ -51,7 +52,7 @@ class Watched(System):
         super().__init__()
         hw = self.vrc.hw
         everything = np.arange(len(hw.names))
-        self._speed = dict(zip(hw.names, hw.limits(everything).velocity, strict=True))
+        self._speed = dict(zip(hw.names, hw.limits(everything).fastest, strict=True))
         self._last: dict[str, tuple[int, float]] = {}
         self._led: MotionState | None = None
         self.sent = self.moved = 0

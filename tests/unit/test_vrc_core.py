@@ -30,6 +30,7 @@ from tests.unit.test_vrc_urdf import NAMES
 from valor.common.errors import ConfigurationError
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
 from valor.common.topics import BEHAVIOR, MOTION_STATE, STOP, ServiceTopic
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
@@ -39,7 +40,6 @@ from valor.valor_ros_controller.controllers.footstep_controller import State
 from valor.valor_ros_controller.kinematic_tree import read
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.limits import JointLimits
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 
 SECOND = 1_000_000_000
@@ -53,7 +53,8 @@ def test_numbers_are_those_of_the_public_interface(numbers: Any, interface: type
     assert numbers.__members__ == {name: getattr(interface, name) for name in numbers.__members__}
 
 
-FREE = JointLimits(THREE, ("rad",) * 3, np.full(3, -np.inf), np.full(3, np.inf), np.full(3, 1e3))
+INF = np.full(3, np.inf)
+FREE = CommandedLimits(THREE, ("rad",) * 3, -INF, INF, velocity=np.full(3, 1e3), acceleration=INF, effort=INF)
 place = st.floats(-0.4, 0.4)
 vector = st.tuples(place, place, place)
 

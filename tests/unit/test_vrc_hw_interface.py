@@ -56,7 +56,7 @@ def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_wha
     hw = ValorEscherHWInterface(ROBOT)
     hw.write("neck", NECK)
     last = np.zeros(2)
-    speed = ROBOT.velocity_limit[NECK]
+    speed = hw.limits(NECK).fastest
     for values, milliseconds in cycles:
         hw.time += milliseconds * 1_000_000
         hw.command_position[NECK] = values[:2]

@@ -8,15 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.examples import examples
+from valor.robot.commanded_limits import CommandedLimits
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.limits import JointLimits
-from valor.valor_ros_controller.trajectory.splines import SPEED_MARGIN
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 
 NAMES = ("shoulder", "elbow", "wrist")
-LIMITS = JointLimits(
-    NAMES, ("rad",) * 3, np.array([-3.0, -0.5, -np.inf]), np.array([1.0, 3.6, np.inf]), np.array([2.0, 2.0, 6.0])
+LIMITS = CommandedLimits(
+    NAMES,
+    ("rad",) * 3,
+    np.array([-3.0, -0.5, -np.inf]),
+    np.array([1.0, 3.6, np.inf]),
+    velocity=np.array([2.0, 2.0, 6.0]),
+    acceleration=np.array([20.0, 20.0, 60.0]),
+    effort=np.full(3, np.inf),
 )
 REST = (np.zeros(3), np.zeros(3), np.zeros(3))
 NOW = 5_000_000_000
@@ -222,7 +227,7 @@ def test_accepted_trajectories_are_continuous_within_limits_and_through_their_po
     assert states[0, 0] == pytest.approx(here)
     assert (states[:, 0] >= LIMITS.lower - 1e-3).all() and (states[:, 0] <= LIMITS.upper + 1e-3).all()
     moved = np.abs(np.diff(states[:, 0], axis=0))
-    assert (moved <= LIMITS.velocity * SPEED_MARGIN * 1.01 * step * 1e-9 + 1e-9).all(), "a jump"
+    assert (moved <= LIMITS.fastest * 1.01 * step * 1e-9 + 1e-9).all(), "a jump"
     fresh = begin(points, state=(np.array(here), *REST[1:]))
     for way in points:
         through = sample(fresh, NOW + round(way.time_from_start * 1e9))

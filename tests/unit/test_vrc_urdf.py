@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from harness.places import ROBOTS
+from valor.robot.commanded_limits import VELOCITY_FACTOR
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valor_ros_controller.kinematic_tree import KinematicTree, read
@@ -88,7 +89,7 @@ def test_masses_and_inertias_are_the_models(robot: RobotDescription, tree: Kinem
     assert matrices[1] == pytest.approx(matrices[0], abs=1e-9)
 
 
-def test_limits_and_damping_are_those_of_robot_yaml(robot: RobotDescription, tree: KinematicTree) -> None:
+def test_limits_are_those_of_what_is_commanded(robot: RobotDescription, tree: KinematicTree) -> None:
     joints = {joint.get("name"): joint for joint in ElementTree.fromstring(tree.urdf).iter("joint")}
     moving = {name for name, joint in joints.items() if joint.get("type") != "fixed"}
     assert moving == set(robot.joints)
@@ -96,7 +97,7 @@ def test_limits_and_damping_are_those_of_robot_yaml(robot: RobotDescription, tre
         limit, dynamics = joints[name].find("limit"), joints[name].find("dynamics")
         assert limit is not None and dynamics is not None
         assert float(limit.get("effort", "nan")) == pytest.approx(table.effort)
-        assert float(limit.get("velocity", "nan")) == pytest.approx(table.velocity)
+        assert float(limit.get("velocity", "nan")) == pytest.approx(VELOCITY_FACTOR * table.velocity)
         assert float(dynamics.get("damping", "nan")) == pytest.approx(table.damping)
         bounded = table.lower is not None
         assert joints[name].get("type") == ("revolute" if bounded else "continuous"), name

@@ -126,7 +126,7 @@ def _solve(
     """The pose nearest to ``goal`` (m,) [rad] that stands."""
     problem = _Problem()
     moved = np.isin(posture.joints, plan.moved)
-    lower, upper = posture.lower + moved * plan.margin, posture.upper - moved * plan.margin
+    lower, upper = posture.limits.lower + moved * plan.margin, posture.limits.upper - moved * plan.margin
     goal = np.clip(goal, lower, upper)
     z = problem.variable(BASE + len(posture.joints), _settled(kinematics, pose, goal))
     problem.require("the pelvis' place", z[0], 0.0, 0.0)
@@ -148,7 +148,7 @@ def _solve(
         rest -= kinematics.forces[name](z, forces[name])
     problem.require("balance", rest[:BASE] / posture.weight, 0.0, 0.0)
     torques = rest[BASE:] / posture.multiplicity
-    problem.require("torque limits", torques / posture.effort, -plan.torque, plan.torque)
+    problem.require("torque limits", torques / posture.limits.effort, -plan.torque, plan.torque)
 
     for name in (*pose.loaded, *pose.touching):
         problem.require(f"{name} on the floor", kinematics.places[name](z)[:, 2], 0.0, 0.0)
@@ -157,7 +157,7 @@ def _solve(
         ahead = kinematics.com(z)[0] - kinematics.places[pose.com_of](z)[0, 0]
         problem.require(f"the CoM ahead of {pose.com_of}", ahead, *pose.com)
 
-    problem.cost += TORQUE_COST * ca.sumsqr(torques / posture.effort) + NEAR_COST * ca.sumsqr(z[BASE:] - goal)
+    problem.cost += TORQUE_COST * ca.sumsqr(torques / posture.limits.effort) + NEAR_COST * ca.sumsqr(z[BASE:] - goal)
     try:
         value = problem.solve()
     except NoSolutionFound as error:

@@ -17,6 +17,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.model import Model
 
 Expression = Any  # casadi.SX; the library is not typed
@@ -58,8 +59,7 @@ class SagittalPosture:
         for name in self._twins:
             if name not in robot.index:
                 raise ConfigurationError(f"{robot.folder}: no joint {name!r}, the twin of one of the left side")
-        self.lower, self.upper = robot.lower[rows], robot.upper[rows]
-        self.effort = robot.effort_limit[rows]
+        self.limits = CommandedLimits.of_joints(robot).select(rows)
         self.mass = float(mj.body_subtreemass[0])
         self.weight = self.mass * float(-mj.opt.gravity[2])
         self._signs = [mirror_sign(mj, left, right) for left, right in zip(joints, self._twins, strict=True)]

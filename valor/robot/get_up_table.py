@@ -8,6 +8,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from valor.common.table import NonNegative, Positive, Table, TableError, read
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 
 FILE = "get_up.yaml"  # in the robot's folder
@@ -66,12 +67,13 @@ def load(robot: RobotDescription) -> GetUpTable | None:
 
 def _strange(robot: RobotDescription, table: GetUpTable) -> Iterator[TableError]:
     """What the robot does not have, or cannot do."""
+    limits = CommandedLimits.of_joints(robot)
     yield from _unknown(robot, ("balance", "joints"), table.balance.joints)
     for i, pose in enumerate(table.face_down):
         path = ("face_down", str(i), "joints")
         yield from _unknown(robot, path, pose.joints)
         for name, position in pose.joints.items():
-            lower, upper = robot.lower[robot.index[name]], robot.upper[robot.index[name]]
+            lower, upper = limits.lower[robot.index[name]], limits.upper[robot.index[name]]
             if not lower <= position <= upper:
                 yield TableError((*path, name), f"got {position:g} rad; expected {lower:g} to {upper:g}")
 

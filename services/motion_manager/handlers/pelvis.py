@@ -28,9 +28,9 @@ class PelvisHandler:
         if fault := self._fault(message, now):
             self._rejections.add(PELVIS.name, received.origin, *fault)
             return False
-        pelvis = self._pelvis
-        position = np.clip(message.position, pelvis.lower, pelvis.upper)
-        pelvis.lead(position, message.velocity.copy(), 1e-9 * message.time)
+        limits = self._pelvis.limits
+        position, velocity = limits.position_within(message.position), limits.velocity_within(message.velocity)
+        self._pelvis.lead(position, velocity, 1e-9 * message.time)
         return True
 
     def _fault(self, message: PelvisSetpoint, now: int) -> tuple[str, str] | None:

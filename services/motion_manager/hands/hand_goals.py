@@ -24,6 +24,7 @@ from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
 from valor.motion_manager.tuning_tables import HandMotion, Tuning
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.model import Model
 
 SIDES = ("left", "right")
@@ -170,8 +171,9 @@ class _Arm:
         self._turn: FloatArray = data.site_xmat[self._site].reshape(3, 3)
         self._jacobian = np.zeros((6, model.mj.nv))
         self._nominal = nominal[self.joints]
-        self.lower, self.upper = robot.lower[self.joints] + MARGIN, robot.upper[self.joints] - MARGIN
-        self._highest = self._table.joint_speed * robot.velocity_limit[self.joints]
+        limits = CommandedLimits.of_joints(robot).select(self.joints)
+        self.lower, self.upper = limits.lower + MARGIN, limits.upper - MARGIN
+        self._highest = np.minimum(self._table.joint_speed * robot.velocity_limit[self.joints], limits.velocity)
         self.still = np.zeros(len(self.joints))
         self.goal: HandGoal | None = None
         self.begins = 0.0

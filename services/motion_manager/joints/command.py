@@ -16,6 +16,7 @@ from valor.common.messages import JointMode, Motor
 from valor.motion_manager.joints.joint_reference import Joints
 from valor.motion_manager.kernel import Expression, Kernel, clipped
 from valor.motion_manager.whole_body import WholeBodyCommand
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.model import WHOLE_BODY_GROUPS
 
@@ -53,8 +54,7 @@ class MotorCommand:
         moved = [robot.index[name] for group in WHOLE_BODY_GROUPS for name in robot.tables.groups[group]]
         self._led: Joints = self._compliant.copy()  # by the Whole-Body Controller
         self._led[moved] = True
-        self._effort_limit = robot.effort_limit
-        self._lower, self._upper = robot.lower, robot.upper
+        self._limits = CommandedLimits.of_joints(robot)
         self._began = monotonic_ns()
         stiffness, damping, nothing = robot.servo_stiffness, robot.servo_damping, np.zeros(n)
         servo, force, off = JointMode.POSITION, JointMode.FORCE, JointMode.OFF
@@ -72,7 +72,7 @@ class MotorCommand:
         self.replaced = 0
         self.drive = self._limp
         self.velocity = self.effort = nothing
-        self.position: FloatArray = np.clip(nothing, robot.lower, robot.upper)
+        self.position: FloatArray = self._limits.position_within(nothing)
 
     def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
         """(n,) one mode for each way that joints are driven in operation."""
@@ -167,10 +167,10 @@ class MotorCommand:
         position[joints], velocity[joints] = led[0][joints], led[1][joints]
         squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort)  # of what is wanted: no limit hides one
         compliant = np.flatnonzero(self._compliant).tolist()
-        limit = ca.DM(self._effort_limit).T[compliant]
+        limit = ca.DM(self._limits.effort).T[compliant]
         limited = ca.SX(1, effort.shape[1])
         limited[compliant] = clipped(effort[compliant], -limit, limit)
-        position = clipped(position, ca.DM(self._lower).T, ca.DM(self._upper).T)
+        position = clipped(position, ca.DM(self._limits.lower).T, ca.DM(self._limits.upper).T)
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
         return ca.vertcat(position, velocity, limited), ca.vertcat(squares, beyond)
 

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.limiter import JointLimiter
+from valor.motion_manager.limiter import Limiter
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 
 Joints = npt.NDArray[np.bool_]  # (n,) which ones
@@ -46,7 +47,7 @@ class JointReference:
 
     def __init__(self, robot: RobotDescription) -> None:
         n = len(robot.joints)
-        self._limiter = JointLimiter(robot)
+        self._limiter = Limiter(CommandedLimits.of_joints(robot))
         self._move_velocity = np.minimum(MOVE_VELOCITY_FACTOR * robot.velocity_limit, MOVE_VELOCITY)
         followed = np.zeros((4, n))  # what is followed, of which time it is [s]
         self._setpoint, self._setpoint_velocity, self._setpoint_acceleration, self._setpoint_time = followed
@@ -76,9 +77,9 @@ class JointReference:
         return self._target_acceleration
 
     @property
-    def acceleration_limit(self) -> FloatArray:
-        """(n,) [rad/s²]."""
-        return self._limiter.acceleration_limit
+    def limits(self) -> CommandedLimits:
+        """Of the (n,) joints."""
+        return self._limiter.limits
 
     def take_up(self, joints: Joints, position: FloatArray) -> None:
         """Hold joints where they are found: the only way a reference changes without passing the limiter.
@@ -117,7 +118,7 @@ class JointReference:
             start,
             np.where(joints, goal, start),
             velocity=self._move_velocity,
-            acceleration=self._limiter.acceleration_limit,
+            acceleration=self.limits.acceleration,
             began=now,
             shortest=SHORTEST_MOVE,
         )

@@ -21,12 +21,10 @@ class UpperBody:
     Attributes:
         owners: joint name → the internal FSM that may move it.
         joints: internal FSM → (n,) which joints are its own.
-        acceleration_limit: (n,) [rad/s²].
     """
 
     def __init__(self, robot: RobotDescription, reference: JointReference) -> None:
         self.owners = joint_owners(robot)
-        self.acceleration_limit = reference.acceleration_limit
         self._reference = reference
         self._nominal = robot.nominal_posture
         self.joints: dict[type[StrEnum], Joints] = {

@@ -15,11 +15,10 @@ from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.command import MotorCommand
 from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.whole_body import RobotState
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Balance, KeyPose, load
 
-VELOCITY_FACTOR = 0.8  # of a joint's velocity limit: room for its servo to catch up
-ACCELERATION_TIME = 0.1  # from rest to a joint's velocity limit [s]
 AT_REST = 0.5  # lying still, or having come to rest in a pose: angular velocity of the pelvis below [rad/s]
 COMING_TO_REST = 2.0  # at most so long after a pose's hold [s]
 COM_SPEED_FILTER = 0.03  # time constant [s]
@@ -53,8 +52,7 @@ class GetUp:
             posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
             self.goals.append(posture)
         self._balance = SoleBalance(robot, self._table.balance) if self._table else None
-        self._velocity = VELOCITY_FACTOR * robot.velocity_limit
-        self._acceleration = robot.velocity_limit / ACCELERATION_TIME
+        self._limits = CommandedLimits.of_joints(robot)
         self._no_effort = np.zeros(len(robot.joints))
         self._stage = 0
         self._move: PostureMove | None = None
@@ -121,8 +119,8 @@ class GetUp:
         self._move = PostureMove(
             start,
             self.goals[self._stage],
-            velocity=self._velocity,
-            acceleration=self._acceleration,
+            velocity=self._limits.velocity,
+            acceleration=self._limits.acceleration,
             began=now,
             shortest=pose.duration,
         )
@@ -138,7 +136,7 @@ class SoleBalance:
     def __init__(self, robot: RobotDescription, table: Balance) -> None:
         """Take the joints by name."""
         self._joints = np.array([robot.index[name] for name in table.joints])
-        self._lower, self._upper = robot.lower[self._joints], robot.upper[self._joints]
+        self._limits = CommandedLimits.of_joints(robot).select(self._joints)
         self._gain, self._limit = table.gain, table.limit
         foot = robot.tables.feet.left
         self._middle = 0.5 * (foot.heel + foot.toe)  # of a sole, ahead of its frame [m]
@@ -159,7 +157,7 @@ class SoleBalance:
         self._before = (now, ahead, speed)
         dcm = ahead + speed * sqrt(max(height, LOWEST_COM) / GRAVITY)
         angle = min(self._limit, max(-self._limit, self._gain * dcm))
-        position[self._joints] = np.clip(position[self._joints] + angle, self._lower, self._upper)
+        position[self._joints] = self._limits.position_within(position[self._joints] + angle)
 
 
 def attitude(state: RobotState) -> tuple[float, float]:

@@ -240,7 +240,7 @@ class JointTrajectoryController:
 
     def _hold_motion_system(self, hw: ValorEscherHWInterface) -> None:
         """Take for set-point what the Motion System commands."""
-        self.position[:] = np.clip(hw.commanded[self.joints], self.limits.lower, self.limits.upper)
+        self.position[:] = self.limits.position_within(hw.commanded[self.joints])
         self.velocity.fill(0.0)
         self.acceleration.fill(0.0)
         self._trajectory = Trajectory.holding(hw.time, self.position)
@@ -269,6 +269,7 @@ class JointTrajectoryController:
                 hw.time,
                 (self.position, self.velocity, self.acceleration),
                 self.limits,
+                error=np.maximum(self.settings.path.position, request.path.position),
             )
         except InvalidTrajectoryError as error:
             self.refuse(request.goal, error)

@@ -11,8 +11,8 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits, Indices
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
@@ -21,7 +21,7 @@ class Controller(Protocol):
 
     name: str
     joints: Indices
-    limits: JointLimits
+    limits: CommandedLimits
     active: bool
 
 

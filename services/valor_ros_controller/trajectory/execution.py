@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import JointLimits
 from valor.valor_ros_controller.trajectory.splines import check_segments, spline
 from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 
@@ -54,7 +54,7 @@ class Trajectory:
 
     @classmethod
     def stopping(
-        cls, now: int, position: FloatArray, velocity: FloatArray, deceleration: FloatArray, limits: JointLimits
+        cls, now: int, position: FloatArray, velocity: FloatArray, deceleration: FloatArray, limits: CommandedLimits
     ) -> Trajectory:
         """Come to rest from ``velocity`` (n,), each joint with its own ``deceleration`` (n,) [1/s²].
 
@@ -76,7 +76,7 @@ class Trajectory:
         moving = begin < duration - 1e-9
         coefficients[:, 1] = moving * rate
         coefficients[:, 2] = moving * (-0.5 * sign * deceleration)
-        final = np.clip(position + velocity * (0.5 * duration), limits.lower, limits.upper)
+        final = limits.position_within(position + velocity * (0.5 * duration))
         return cls((now + knots).tolist(), coefficients, final)
 
     @classmethod
@@ -86,7 +86,9 @@ class Trajectory:
         start: int,
         now: int,
         state: tuple[FloatArray, FloatArray, FloatArray],
-        limits: JointLimits,
+        limits: CommandedLimits,
+        *,
+        error: FloatArray | None = None,
     ) -> Trajectory:
         """Go from the present set-point to the first point that is still to come, and on from there.
 
@@ -96,9 +98,11 @@ class Trajectory:
             now: robot time [ns].
             state: (n,) position, velocity and acceleration commanded now; joints without way-points stay there.
             limits: of the controller's joints.
+            error: (n,) to within which what has these limits shall follow; None: to within any.
 
         Raises:
-            InvalidTrajectoryError: it ended in the past, begins too far away for the speed limits, or with a jump.
+            InvalidTrajectoryError: it ended in the past, begins too far away for the speed limits or with a jump, or
+                is too jerky for its speed.
         """
         stamped = start != 0
         start = start or now
@@ -136,7 +140,14 @@ class Trajectory:
             duration,
             waypoints.order[first : first + 1],
         )  # fmt: skip
-        check_segments(opening, duration, limits, columns, f"between now and point {first}")
+        moving = limits.select(columns)
+        speed, acceleration = check_segments(opening, duration, moving, f"between now and point {first}")
+        _check_jumps(
+            np.maximum(speed, waypoints.speed),
+            np.maximum(acceleration, waypoints.acceleration),
+            moving,
+            error if error is None else error[columns],
+        )
         segments = 1 + len(times) - 1 - first
         n = len(limits.names)
         coefficients = np.zeros((segments, 6, n))
@@ -185,3 +196,26 @@ class Trajectory:
         """Put off what is still to come by a time [ns]."""
         self._knots = [knot + by for knot in self._knots]
         self.start, self.end = self._knots[0], self._knots[-1]
+
+
+def _check_jumps(
+    speed: FloatArray, acceleration: FloatArray, limits: CommandedLimits, error: FloatArray | None
+) -> None:
+    """Whether a trajectory with these greatest speeds and accelerations (m,) can be followed to within (m,) errors.
+
+    Raises:
+        InvalidTrajectoryError: it cannot.
+    """
+    if error is None:
+        return
+    highest = limits.jumping_velocity(error)
+    jerky = (acceleration > limits.acceleration) & (speed > highest)
+    if jerky.any():
+        joint = int(np.argmax(jerky))
+        unit = limits.units[joint]
+        raise InvalidTrajectoryError(
+            ErrorCode.INVALID_GOAL,
+            f"{limits.names[joint]} would move at {speed[joint]:.3g} {unit}/s with jumps of its velocity, or with more "
+            f"than {limits.acceleration[joint]:g} {unit}/s²; its limit is then {highest[joint]:.3g} {unit}/s, so that "
+            f"the path tolerance of {error[joint]:g} {unit} can be kept",
+        )

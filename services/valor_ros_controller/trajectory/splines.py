@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits, Indices
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
-
-SPEED_MARGIN = 1.01
-"""How far the peak of a spline may exceed the speed limit: planners place way-points at the limit itself."""
 
 _SAMPLES = 33  # a segment is looked at in so many places when its limits are checked
 _CHUNK = 64  # segments at a time: bounds the memory of the check
@@ -51,58 +48,62 @@ def spline(
     return c
 
 
-def _powers(time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(…, 6) powers of time for position, and their derivatives for velocity."""
+def _powers(time: FloatArray) -> FloatArray:
+    """(3, …, 6) powers of time for position, and their derivatives for velocity and acceleration."""
     ones = np.ones_like(time)
+    none = 0.0 * time
     position = np.stack([ones, time, time**2, time**3, time**4, time**5], axis=-1)
-    velocity = np.stack([0 * ones, ones, 2 * time, 3 * time**2, 4 * time**3, 5 * time**4], axis=-1)
-    return position, velocity
+    velocity = np.stack([none, ones, 2 * time, 3 * time**2, 4 * time**3, 5 * time**4], axis=-1)
+    acceleration = np.stack([none, none, 2 * ones, 6 * time, 12 * time**2, 20 * time**3], axis=-1)
+    return np.stack([position, velocity, acceleration])
 
 
 def check_segments(
     coefficients: FloatArray,
     duration: FloatArray,
-    limits: JointLimits,
-    columns: Indices,
+    limits: CommandedLimits,
     describe: str = "between points {0} and {1}",
-) -> None:
+) -> tuple[FloatArray, FloatArray]:
     """Whether splines keep within the limits of position and speed everywhere.
 
     Args:
         coefficients: (k, 6, m).
         duration: (k,) [s].
-        limits: of the controller's joints.
-        columns: (m,) places of the joints in ``limits``.
+        limits: of the m joints.
         describe: where a segment is, for the error's text; takes its number and the next.
+
+    Returns:
+        (m,) greatest speed [1/s] and acceleration [1/s²] of each joint.
 
     Raises:
         InvalidTrajectoryError: they do not.
     """
-    lower, upper, speed = limits.lower[columns], limits.upper[columns], limits.velocity[columns]
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
+    most = np.zeros((2, len(limits.names)))
     for first in range(0, len(duration), _CHUNK):
         with np.errstate(all="ignore"):
-            position, velocity = _powers(duration[first : first + _CHUNK, None] * fractions)
-            chunk = coefficients[first : first + _CHUNK]
-            positions = position @ chunk  # (k, samples, m)
-            speeds = np.abs(velocity @ chunk).max(axis=1)
+            powers = _powers(duration[first : first + _CHUNK, None] * fractions)
+            positions, *rates = powers @ coefficients[first : first + _CHUNK]  # (k, samples, m) each
+            speeds, accelerations = (np.abs(rate).max(axis=1) for rate in rates)
         # Written so that NaN fails.
-        if not (fast := speeds <= speed * SPEED_MARGIN).all():
+        if not (fast := speeds <= limits.fastest).all():
             segment, joint = np.argwhere(~fast)[0]
-            where, unit = describe.format(first + segment, first + segment + 1), limits.units[columns[joint]]
+            where, unit = describe.format(first + segment, first + segment + 1), limits.units[joint]
             raise InvalidTrajectoryError(
                 ErrorCode.INVALID_GOAL,
-                f"{limits.names[columns[joint]]} would move at {speeds[segment, joint]:.3g} {unit}/s {where}; "
-                f"its limit is {speed[joint]:g} {unit}/s",
+                f"{limits.names[joint]} would move at {speeds[segment, joint]:.3g} {unit}/s {where}; "
+                f"its limit is {limits.velocity[joint]:g} {unit}/s",
             )
-        inside = (positions >= lower - 1e-6) & (positions <= upper + 1e-6)
+        inside = (positions >= limits.lower - 1e-6) & (positions <= limits.upper + 1e-6)
         if not inside.all():
             segment, _, joint = np.argwhere(~inside)[0]
             worst = positions[segment, :, joint]
-            value = worst.max() if worst.max() > upper[joint] else worst.min()
-            where, unit = describe.format(first + segment, first + segment + 1), limits.units[columns[joint]]
+            value = worst.max() if worst.max() > limits.upper[joint] else worst.min()
+            where, unit = describe.format(first + segment, first + segment + 1), limits.units[joint]
             raise InvalidTrajectoryError(
                 ErrorCode.INVALID_GOAL,
-                f"{limits.names[columns[joint]]} would reach {value:.4g} {unit} {where}; "
-                f"its limits are {lower[joint]:g} to {upper[joint]:g} {unit}",
+                f"{limits.names[joint]} would reach {value:.4g} {unit} {where}; "
+                f"its limits are {limits.lower[joint]:g} to {limits.upper[joint]:g} {unit}",
             )
+        most = np.maximum(most, [speeds.max(axis=0), accelerations.max(axis=0)])
+    return most[0], most[1]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import JointLimits
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Tolerances:
                     target[joint] = np.inf if value < 0 else value
         return Tolerances(position, velocity)
 
-    def violation(self, limits: JointLimits, position_error: FloatArray, velocity_error: FloatArray) -> str:
+    def violation(self, limits: CommandedLimits, position_error: FloatArray, velocity_error: FloatArray) -> str:
         """Which joint is out, by how much, and the tolerance; empty: none."""
         for error, tolerance, per in ((position_error, self.position, ""), (velocity_error, self.velocity, "/s")):
             off = np.abs(error)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits, Indices
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.limits import Indices, JointLimits
-from valor.valor_ros_controller.trajectory.splines import SPEED_MARGIN, check_segments, spline
+from valor.valor_ros_controller.trajectory.splines import check_segments, spline
 
 _END_VELOCITY = 1e-6  # [1/s]
 
@@ -35,6 +35,8 @@ class Waypoints:
         times: (k,) from the start of the trajectory, increasing [s].
         order: (k,) what each point carries: 1 positions, 3 also velocities, 5 also accelerations.
         coefficients: (k-1, 6, m) of the splines between the points, lowest power first.
+        speed: (m,) greatest between the points [1/s].
+        acceleration: (m,) likewise [1/s²]; inf: velocities jump.
     """
 
     columns: Indices
@@ -44,9 +46,11 @@ class Waypoints:
     accelerations: FloatArray
     order: Indices
     coefficients: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
 
 
-def _columns(names: Sequence[str], limits: JointLimits, allow_partial: bool) -> Indices:
+def _columns(names: Sequence[str], limits: CommandedLimits, allow_partial: bool) -> Indices:
     """Where the trajectory's joints stand in the controller's order."""
 
     def invalid(text: str) -> InvalidTrajectoryError:
@@ -69,7 +73,7 @@ def _columns(names: Sequence[str], limits: JointLimits, allow_partial: bool) -> 
 def check_waypoints(
     names: Sequence[str],
     points: Sequence[Point],
-    limits: JointLimits,
+    limits: CommandedLimits,
     *,
     allow_partial: bool = False,
 ) -> Waypoints:
@@ -115,31 +119,35 @@ def check_waypoints(
         raise invalid(
             f"time_from_start of point {i + 1} ({times[i + 1]:g} s) is not after that of point {i} ({times[i]:g} s)"
         )
-    outside = (positions < limits.lower[columns]) | (positions > limits.upper[columns])
+    limits = limits.select(columns)
+    outside = positions != limits.position_within(positions)
     if outside.any():
         i, joint = np.argwhere(outside)[0]
-        column = columns[joint]
+        unit = limits.units[joint]
         raise invalid(
-            f"point {i}: {names[joint]} at {positions[i, joint]:.4g} {limits.units[column]}; "
-            f"its limits are {limits.lower[column]:g} to {limits.upper[column]:g} {limits.units[column]}"
+            f"point {i}: {names[joint]} at {positions[i, joint]:.4g} {unit}; "
+            f"its limits are {limits.lower[joint]:g} to {limits.upper[joint]:g} {unit}"
         )
-    fast = np.abs(velocities) > limits.velocity[columns] * SPEED_MARGIN
+    fast = np.abs(velocities) > limits.fastest
     if fast.any():
         i, joint = np.argwhere(fast)[0]
-        unit = limits.units[columns[joint]]
+        unit = limits.units[joint]
         raise invalid(
             f"point {i}: {names[joint]} at {velocities[i, joint]:.4g} {unit}/s; "
-            f"its limit is {limits.velocity[columns[joint]]:g} {unit}/s"
+            f"its limit is {limits.velocity[joint]:g} {unit}/s"
         )
     if (np.abs(velocities[-1]) > _END_VELOCITY).any():
         joint = int(np.argmax(np.abs(velocities[-1])))
-        unit = limits.units[columns[joint]]
-        raise invalid(f"{names[joint]} has {velocities[-1, joint]:.4g} {unit}/s at the last point; expected 0")
+        raise invalid(
+            f"{names[joint]} has {velocities[-1, joint]:.4g} {limits.units[joint]}/s at the last point; expected 0"
+        )
     coefficients = spline(
         (positions[:-1], velocities[:-1], accelerations[:-1]),
         (positions[1:], velocities[1:], accelerations[1:]),
         durations,
         np.minimum(order[:-1], order[1:]),
     )
-    check_segments(coefficients, durations, limits, columns)
-    return Waypoints(columns, times, positions, velocities, accelerations, order, coefficients)
+    speed, acceleration = check_segments(coefficients, durations, limits)
+    if (order == 1).any():
+        acceleration = np.full(m, np.inf)
+    return Waypoints(columns, times, positions, velocities, accelerations, order, coefficients, speed, acceleration)

@@ -71,7 +71,7 @@ def test_the_legs_reach_every_corner_of_the_limits(model: Model, pelvis: PelvisR
     legs = joints.group("left_leg", "right_leg")
     lower, upper = model.robot.lower[joints.places][legs], model.robot.upper[joints.places][legs]
     kinematics = LegKinematics(model, joints, legs)
-    for corner in product(*zip(pelvis.lower, pelvis.upper, strict=True)):
+    for corner in product(*zip(pelvis.limits.lower, pelvis.limits.upper, strict=True)):
         kinematics.reset()
         for share in np.minimum(1.0, np.arange(1, 31) / 20):
             place = pelvis.home + share * (corner - pelvis.home)
@@ -82,7 +82,7 @@ def test_the_legs_reach_every_corner_of_the_limits(model: Model, pelvis: PelvisR
 
 def test_a_distant_target_is_approached_within_the_limits(model: Model, pelvis: PelvisReference) -> None:
     table, dt = model.robot.tables.pelvis, model.robot.control_period
-    pelvis.lead(np.array((0.05, -0.05, pelvis.lower[2], 0.15, -0.25, 0.25)), np.zeros(6), 0.0)
+    pelvis.lead(np.array((0.05, -0.05, pelvis.limits.lower[2], 0.15, -0.25, 0.25)), np.zeros(6), 0.0)
     seen = []
     for k in range(2000):
         pelvis.advance(k * dt, dt)
@@ -102,7 +102,7 @@ def test_the_handler_clamps(pelvis: PelvisReference) -> None:
     for k in range(2000):
         pelvis.advance(5.0 + 0.002 * k, 0.002)
     upper = [1, 0, 0, 1, 0, 1]
-    np.testing.assert_allclose(pelvis.position, np.where(upper, pelvis.upper, pelvis.lower), atol=1e-9)
+    np.testing.assert_allclose(pelvis.position, np.where(upper, pelvis.limits.upper, pelvis.limits.lower), atol=1e-9)
 
 
 @pytest.mark.parametrize(

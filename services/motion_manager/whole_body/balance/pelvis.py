@@ -21,8 +21,8 @@ from valor.motion_manager.kernel import Expression
 from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.model import Model
-from valor.robot.motion_tables import PelvisMotion
 
 Places = npt.NDArray[np.intp]
 
@@ -31,19 +31,11 @@ HEIGHT = 2  # place of the pelvis' height in what is led
 _SOLVED = 1e-6  # of the legs' inverse kinematics [m, rad]
 
 
-def pelvis_limits(table: PelvisMotion, nominal_height: float) -> tuple[FloatArray, FloatArray]:
-    """(6,) lowest and highest x, y, z [m], roll, pitch, yaw [rad]."""
-    turn = (table.max_roll, table.max_pitch, table.max_yaw)
-    lower = (-table.max_shift, -table.max_shift, nominal_height - table.max_down, *(-angle for angle in turn))
-    upper = (table.max_shift, table.max_shift, nominal_height + table.max_up, *turn)
-    return np.array(lower), np.array(upper)
-
-
 class PelvisReference:
     """Follows what the pelvis is led to.
 
     Attributes:
-        lower, upper: (6,) limits.
+        limits: of the six.
         home: (6,) the nominal place: height above the soles, all else 0.
         rotation: (3, 3) of the pelvis in support.
         angular_velocity: (3,) likewise [rad/s].
@@ -57,16 +49,10 @@ class PelvisReference:
             leg_places: (m,) which of the model's joints are the legs'.
         """
         robot = model.robot
-        tables, table, joints = robot.tables, robot.tables.pelvis, ModelJoints(model)
-        self.lower, self.upper = pelvis_limits(table, tables.nominal_base_height)
-        self.home = np.array((0.0, 0.0, tables.nominal_base_height, 0.0, 0.0, 0.0))
-        self._limiter = Limiter(
-            self.lower,
-            self.upper,
-            np.repeat((table.max_speed, table.max_turn_rate), 3),
-            np.repeat((table.max_acceleration, table.max_turn_acceleration), 3),
-        )
-        self._legs = LegKinematics(model, joints, leg_places)
+        self.limits = CommandedLimits.of_pelvis(robot)
+        self.home = np.array((0.0, 0.0, robot.tables.nominal_base_height, 0.0, 0.0, 0.0))
+        self._limiter = Limiter(self.limits)
+        self._legs = LegKinematics(model, ModelJoints(model), leg_places)
         self._everywhere = np.ones(6, dtype=bool)
         self._target, self._rate = self.home.copy(), np.zeros(6)
         self._led_at = -np.inf
