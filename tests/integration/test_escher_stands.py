@@ -24,6 +24,7 @@ from tests.integration.vrc.vrc_system import resting, stamp
 from valor.analysis.results import Result
 from valor.common.instance import Instance
 from valor.common.messages import GroundTruth, MotionState, Proprioceptor
+from valor.common.processes import BY_NAME as PROCESSES_BY_NAME
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 from valor.valorctl import demonstration
@@ -136,6 +137,14 @@ def test_arm_goals_are_refused_in_stand(case: Case) -> None:
     assert_arm_unmoved(case, before)
 
 
+def assert_within_budgets(rows: dict[str, list[float]], factor: float) -> None:
+    """Memory at its most; of the processor, seconds a second of robot time, three times as many on a busy computer."""
+    for name, (mean, *_, most) in rows.items():
+        budget = PROCESSES_BY_NAME[name]
+        assert most <= budget.memory_budget, f"{name}: {most:.0f} MiB"
+        assert mean / factor <= 3.0 * budget.cpu_budget, f"{name}: {mean:.0f} % at {factor:.2f} of real time"
+
+
 @pytest.mark.parametrize("case", CASES[:1], indirect=True, ids=["lockstep-seed0"])
 def test_an_experiment_tells_what_each_process_takes(
     case: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -156,7 +165,9 @@ def test_an_experiment_tells_what_each_process_takes(
     numbers = {measure.name: measure.value for measure in result.measures}
     assert numbers["VRC memory, mean"] == pytest.approx(rows["valor_ros_controller"][4], abs=0.1)
     assert numbers["whole system, mean"] == pytest.approx(sum(row[0] for row in rows.values()), abs=0.1 * len(rows))
-    assert (numbers["robot time against the wall's"] or 0.0) > 0.0
+    factor = numbers["robot time against the wall's"] or 0.0
+    assert factor > 0.0
+    assert_within_budgets(rows, factor)
     with open(tmp_path / "process_stats.csv") as opened:
         assert len(opened.readlines()) > 3
     assert all((tmp_path / picture.file).stat().st_size > 5_000 for picture in result.pictures)

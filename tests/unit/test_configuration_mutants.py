@@ -19,6 +19,7 @@ from valor.robot import checks, rules
 from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup
 from valor.valorctl.instance_setup import Request
+from valor.valorctl.profile import Profile
 
 ESCHER = ROBOTS / "escher"
 BOMB = "bomb0: &b0 [x, x, x, x, x, x, x, x]\n" + "".join(
@@ -353,7 +354,9 @@ def test_a_way_up_that_cannot_be_right_is_refused(tmp_path: Path, mutant: Mutant
 @pytest.mark.parametrize("mutant", PROFILE.values(), ids=PROFILE.keys())
 def test_a_profile_that_cannot_be_right_is_refused(tmp_path: Path, mutant: Mutant) -> None:
     file = tmp_path / "mine.yaml"
-    file.write_bytes(resources.profile_file("sim").read_bytes())
+    sim = resources.profile_file("sim")
+    listed = "".join(f"  - {name}\n" for name in Profile.load(sim).processes)
+    file.write_text(sim.read_text().replace("initial_mode:", f"processes:\n{listed}initial_mode:", 1))
     changed(file, mutant)
     with pytest.raises(ConfigurationError) as refused:
         instance_setup.plan(Request(profile=str(file)))

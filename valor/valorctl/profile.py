@@ -39,11 +39,14 @@ class Profile(Table, kw_only=True):
     control_rate: ControlRate | None = None  # instead of the robot's own [Hz]
     # Of devices, where they are not the emulators' (valor/devices/ports.py).
     ports: dict[str, str] = field(default_factory=dict)
-    processes: Annotated[tuple[str, ...], Meta(min_length=1)]
+    processes: Annotated[tuple[str, ...], Meta(min_length=1)] = ()  # none named: all that the variant has
     initial_mode: str | None = None
     defaults: Defaults = Defaults()
 
     def __post_init__(self) -> None:
+        hardware = self.variant == "hardware"
+        everything = tuple(name for name, row in BY_NAME.items() if hardware or not row.hardware_only)
+        structs.force_setattr(self, "processes", self.processes or everything)
         try:
             recording_options.bounds(self.defaults.bag_bound, Bounds(), "defaults.bag_bound")
         except ConfigurationError as error:
@@ -56,7 +59,7 @@ class Profile(Table, kw_only=True):
                 raise TableError(path, f"got {name!r} for the second time; expected each process once")
             if missing := [need for need in BY_NAME[name].needs if need not in self.processes]:
                 raise TableError(path, f"{name} needs {missing[0]}; expected it here, too")
-            if BY_NAME[name].hardware_only and self.variant != "hardware":
+            if BY_NAME[name].hardware_only and not hardware:
                 raise TableError(path, f"got {name!r}, which no simulation has; expected variant: hardware")
         self._check_initial_mode()
 
