@@ -34,14 +34,9 @@ from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
-from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
-from valor.valor_ros_controller.controllers.footstep_controller import FootstepController
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
+from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
+from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor.valor_ros_controller.valor_escher_controller import ValorEscherController
-from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)
@@ -110,11 +105,11 @@ class Call:
 class Commander:
     """One call at a time, newest first; requests and replies take their time or are lost."""
 
-    def __init__(self) -> None:
+    def __init__(self, answered: Callable[[], None]) -> None:
         self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
+        self.answered = answered
         self.delays = (0, 0)  # of requests and of replies [periods]
         self.lose_requests = self.lose_replies = False
-        self.answered: Callable[[], None] = lambda: None
         self.asked = 0  # how often
         self._waiting: tuple[int, str] | None = None
         self._call: Call | None = None
@@ -225,32 +220,6 @@ class MotionSystem:
         )
 
 
-class Vrc:
-    """One life of the VRC."""
-
-    def __init__(self, network: Network, commander: Commander, clock: Callable[[], float]) -> None:
-        self.hw = ValorEscherHWInterface(ROBOT)
-        self.interface = ValorEscherInterface(network, commander, self.hw, 2, SILENCE, clock=clock)  # type: ignore[arg-type]
-        self.modes = ControlModeController(MODES, self.interface)
-        self.trajectories = {
-            name: JointTrajectoryController(name, config, self.hw, MODES.running(name))
-            for name, config in (CONTROLLERS.joint_controllers | CONTROLLERS.robot_controllers).items()
-        }
-        tracking = [
-            TrackingController(name, config, self.hw) for name, config in CONTROLLERS.tracking_controllers.items()
-        ]
-        joints = [self.trajectories[name] for name in CONTROLLERS.joint_controllers]
-        robots = [self.trajectories[name] for name in CONTROLLERS.robot_controllers]
-        self.controller = ValorEscherController(
-            table=MODES,
-            hw=self.hw,
-            interface=self.interface,
-            mode_controller=self.modes,
-            joint_controllers=[*joints, *tracking],
-            robot_controllers=[FootstepController(self.interface), *robots],
-        )
-
-
 @dataclass
 class ModeClient:
     """Keeps what it is told."""
@@ -272,6 +241,7 @@ class System:
 
     Attributes:
         after: called after every update of the VRC.
+        vrc_late: the VRC does not get round to a cycle.
     """
 
     def __init__(self) -> None:
@@ -281,12 +251,23 @@ class System:
         self.motion: MotionSystem | None = MotionSystem(self.time, ROBOT.nominal_posture)
         self.frozen = False  # the Motion System neither hears nor speaks
         self.after: Callable[[], None] = lambda: None
+        self.vrc_late = False
         self.start_vrc()
 
     def start_vrc(self) -> None:
         """A VRC that knows nothing."""
-        self.commander = Commander()
-        self.vrc = Vrc(self.network, self.commander, lambda: self.clock)
+        self.vrc = Core(
+            ROBOT,
+            self.network,  # type: ignore[arg-type]
+            self._make_commander,
+            decimation=2,
+            silence_timeout=SILENCE,
+            clock=lambda: self.clock,
+        )
+
+    def _make_commander(self, answered: Callable[[], None]) -> Commander:
+        self.commander = Commander(answered)
+        return self.commander
 
     def restart_motion_manager(self) -> None:
         """A Motion Manager that knows nothing."""
@@ -302,7 +283,7 @@ class System:
     def ask(self, mode: str) -> ModeClient:
         """Ask for a control mode."""
         client = ModeClient(mode)
-        self.vrc.modes.request(mode, client)
+        self.vrc.mode_controller.request(mode, client)
         return client
 
     def run(self, periods: int = 1, until: Callable[[], bool] = lambda: False) -> None:
@@ -328,8 +309,8 @@ class System:
         # As the loop does: at every second Proprioceptor, at every one during a transition, and whenever woken.
         interface = self.vrc.interface
         woken = self.network.topic(topics.PROPRIOCEPTOR.name).woken
-        if woken or interface.in_transition or self.sequence % 2 == 0:
-            self.vrc.controller.update()
+        if not self.vrc_late and (woken or interface.in_transition or self.sequence % 2 == 0):
+            self.vrc.update(self.vrc.wait())
             self.after()
 
     def _publish_proprioceptor(self) -> None:

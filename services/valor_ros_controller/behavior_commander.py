@@ -22,10 +22,8 @@ class Commander(Protocol):
 
     Attributes:
         answers: what became of commands.
-        answered: called after each answer, from any thread.
     """
 
-    answered: Callable[[], None]
     answers: RealTimeBuffer[BehaviorAnswer]
 
     def ask(self, number: int, behavior: str) -> None:
@@ -44,15 +42,14 @@ class BehaviorCommander(threading.Thread):
     Attributes:
         commands: (number, behavior) to ask for.
         answers: what became of them.
-        answered: called after each answer, in the thread.
     """
 
-    def __init__(self, node: bifrost.Node) -> None:
-        """Start the thread."""
+    def __init__(self, node: bifrost.Node, answered: Callable[[], None]) -> None:
+        """Start the thread, in which ``answered`` is called after each answer."""
         super().__init__(name="behavior_commander", daemon=True)
         self.commands: RealTimeBuffer[tuple[int, str]] = RealTimeBuffer()
         self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()
-        self.answered: Callable[[], None] = lambda: None
+        self._answered = answered
         self._client = topics.BEHAVIOR.client(node)
         self._stopper = topics.STOP.client(node)
         self._wake = threading.Event()
@@ -78,7 +75,7 @@ class BehaviorCommander(threading.Thread):
             number, behavior = self.commands.read() or (0, "")
             if behavior:
                 self.answers.write(self._call(number, behavior))
-                self.answered()
+                self._answered()
 
     def _call(self, number: int, behavior: str) -> BehaviorAnswer:
         # Where there is no Motion Manager, the Comms Manager stops the robot.

@@ -80,9 +80,13 @@ class ValorEscherController:
                 if made.command_interfaces:
                     trial.claim(controller, made.joints)
 
-    def update(self) -> bool:
-        """Wait for data and run one cycle; whether a measurement came."""
-        measured = self._interface.read(WAIT)
+    def wait(self) -> bool:
+        """Wait for the measurement that a cycle is due for, and store it; whether it came."""
+        return self._interface.receive(WAIT)
+
+    def update(self, measured: bool) -> None:
+        """Run one cycle; set-points are sent if a measurement came."""
+        self._interface.listen()
         self.began = time.perf_counter()
         hw = self._hw
         went_back = hw.time < self._last_time
@@ -96,7 +100,6 @@ class ValorEscherController:
         if measured:
             self._interface.write()
         self._interface.report(self.mode_controller.report)
-        return measured
 
     def _enter_mode(self, went_back: bool) -> None:
         """Run the controllers of the active mode, none while the Motion System is silent."""

@@ -17,6 +17,8 @@ from valor.robot.description import RobotDescription
 
 PELVIS = "pelvis"
 """Stands for the pelvis' six among the groups of joints."""
+PELVIS_SMOOTHING = 0.04
+"""Time constant of the pelvis' velocity, which is taken from its estimated places [s]."""
 LONGEST_STEP = 0.02
 """A set-point never moves farther at once than its joint may in this time [s], however late the cycle is."""
 
@@ -70,6 +72,23 @@ class ValorEscherHWInterface:
         self._base: FloatArray = np.zeros(0)  # of the joints written: what the next set-point must not jump from
         self._base_time = 0
         self._select()
+
+    # --- what is heard --------------------------------------------------------------------------------------------
+
+    def take_measurement(self, measured: Proprioceptor) -> None:
+        """Store the newest measurement."""
+        self.time, self.measured = measured.time, measured
+        self.position[: self.pelvis], self.velocity[: self.pelvis] = measured.joint_position, measured.joint_velocity
+
+    def take_motion(self, motion: MotionState) -> None:
+        """Store what the Motion System does."""
+        seconds = (motion.time - self.motion.time) * 1e-9 if self.motion else 0.0
+        self.motion, n = motion, self.pelvis
+        self.commanded[:n], self.commanded[n:] = motion.joint_setpoint, motion.pelvis_setpoint
+        place, velocity = self.position[n:], self.velocity[n:]
+        if seconds > 0.0:
+            velocity += (motion.pelvis_in_support - place - seconds * velocity) / max(seconds, PELVIS_SMOOTHING)
+        place[:] = motion.pelvis_in_support
 
     # --- what there is --------------------------------------------------------------------------------------------
 

@@ -33,8 +33,6 @@ from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWIn
 
 _log = logging.getLogger("valor_escher_interface")
 
-PELVIS_SMOOTHING = 0.04
-"""Time constant of the pelvis' velocity, which is taken from its estimated places [s]."""
 REPORT_PERIOD = 0.1
 """The control mode is reported on Bifrost on change and this often [s]."""
 
@@ -48,14 +46,13 @@ class ValorEscherInterface:
         silent: name of the process that is silent; empty: none.
         motion_state: the newest believable MotionState and its envelope.
         step_status: what the Motion System says of a footstep plan; None: not heard, or silent.
-        measured: called as soon as the measurement is stored that a cycle is due for, for what needs nothing else.
         rejected: how many messages were of the wrong length or not finite.
     """
 
     def __init__(
         self,
         node: bifrost.Node,
-        commander: Commander,
+        commander: Callable[[Callable[[], None]], Commander],
         hw: ValorEscherHWInterface,
         decimation: int,
         silence_timeout: float,
@@ -66,7 +63,8 @@ class ValorEscherInterface:
 
         Args:
             node: to the Bifrost network.
-            commander: asks for behaviors; closed with the interface.
+            commander: makes what asks for behaviors, which is closed with the interface; takes what it is to call
+                after each answer.
             hw: where measurements go and set-points come from.
             decimation: a cycle is due at every n-th Proprioceptor.
             silence_timeout: a process that publishes nothing for so long is silent [s].
@@ -88,8 +86,7 @@ class ValorEscherInterface:
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
         self._pelvis = topics.PELVIS.publisher(node)
         self._control_mode = topics.CONTROL_MODE.publisher(node)
-        self._commander = commander
-        commander.answered = self.wake
+        self._commander = commander(self.wake)
         self._transition: BehaviorTransition | None = None
         self._number = 1
         self._last_sequence = 0
@@ -105,7 +102,6 @@ class ValorEscherInterface:
         self.silent = "comms_manager"
         self.motion_state: bifrost.Received[MotionState] | None = None
         self.step_status: StepStatus | None = None
-        self.measured: Callable[[], None] = lambda: None
         self.rejected = 0
         self.set_points_sent = 0
 
@@ -120,34 +116,28 @@ class ValorEscherInterface:
         return self._clock() - self._heard_motion
 
     def wake(self) -> None:
-        """Make ``read`` return at once: there is something to see to. From any thread."""
+        """Make ``receive`` return at once: there is something to see to. From any thread."""
         self._proprioceptor.wake()
 
-    def read(self, timeout: float) -> bool:
-        """Wait for the Proprioceptor that a cycle is due for, and take in all that is new.
+    def receive(self, timeout: float) -> bool:
+        """Wait for the Proprioceptor that a cycle is due for, and store it.
 
         Args:
             timeout: how long to wait [s].
 
         Returns:
-            Whether it came; if not, no cycle is due, but what the Motion System says is known all the same. While a
-            transition is under way this is so with every Proprioceptor, for the Motion System reports as often.
+            Whether it came. While a transition is under way this returns with every Proprioceptor, for the Motion
+            System reports as often.
         """
         deadline = self._clock() + timeout
-        due = False
-        while not due:
+        while True:
             received = self._proprioceptor.receive(max(1e-3, deadline - self._clock()))
             if received is None:
-                break
+                return False
             self._heard_proprioceptor = self._clock()
             self._newest_sequence = received.message.sequence
-            due = self._take(received.message)
-            if due:
-                self.measured()
-            if self.in_transition:
-                break
-        self._listen(self._clock())
-        return due
+            if (due := self._take(received.message)) or self.in_transition:
+                return due
 
     @property
     def in_transition(self) -> bool:
@@ -167,9 +157,7 @@ class ValorEscherInterface:
             self._reject(f"{topics.PROPRIOCEPTOR.name}: a joint's position or velocity is not finite")
             return False
         self._last_sequence = measured.sequence
-        hw = self._hw
-        hw.time, hw.measured = measured.time, measured
-        hw.position[: self._n], hw.velocity[: self._n] = position, velocity
+        self._hw.take_measurement(measured)
         return True
 
     def _reject(self, text: str) -> None:
@@ -177,8 +165,9 @@ class ValorEscherInterface:
         if self.rejected == 1 or self.rejected % 1000 == 0:
             _log.warning("refused %s (%d so far)", text, self.rejected)
 
-    def _listen(self, now: float) -> None:
-        """The Motion System's state, who is silent, and the transition under way."""
+    def listen(self) -> None:
+        """Take in the Motion System's state, who is silent, and how the transition under way fares."""
+        now = self._clock()
         received = self._motion_state.latest()
         if received is not None:
             motion = received.message
@@ -191,7 +180,8 @@ class ValorEscherInterface:
             ):
                 self._heard_motion = now
                 self.motion_state = received
-                self._take_motion(motion)
+                self._hw.take_motion(motion)
+                self.behavior, self.behavior_reason = motion.behavior, motion.reason
             else:
                 self._reject(
                     f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers, or a pelvis' not 6"
@@ -203,18 +193,6 @@ class ValorEscherInterface:
             self.behavior = ""
             self.step_status = None
         self._proceed(now)
-
-    def _take_motion(self, motion: MotionState) -> None:
-        """Store what the Motion System does."""
-        hw, n = self._hw, self._n
-        seconds = (motion.time - hw.motion.time) * 1e-9 if hw.motion else 0.0
-        hw.motion = motion
-        hw.commanded[:n], hw.commanded[n:] = motion.joint_setpoint, motion.pelvis_setpoint
-        place, velocity = hw.position[n:], hw.velocity[n:]
-        if seconds > 0.0:
-            velocity += (motion.pelvis_in_support - place - seconds * velocity) / max(seconds, PELVIS_SMOOTHING)
-        place[:] = motion.pelvis_in_support
-        self.behavior, self.behavior_reason = motion.behavior, motion.reason
 
     def _who_is_silent(self, now: float) -> str:
         """The process that stopped; the other one may have nothing to say without it."""

@@ -163,9 +163,9 @@ def do(system: Watched, kind: str, *arguments: Any) -> None:
     elif kind == "run":
         system.run(arguments[0])
     elif kind == "vrc late":
-        update, vrc.controller.update = vrc.controller.update, lambda: False  # type: ignore[method-assign]
+        system.vrc_late = True
         system.run(arguments[0])
-        vrc.controller.update = update  # type: ignore[method-assign]
+        system.vrc_late = False
     elif kind == "motion manager late":
         system.frozen = True
         system.run(arguments[0])

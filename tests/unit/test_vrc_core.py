@@ -228,9 +228,8 @@ def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(in
 
     manager = instance.node("motion_manager")
     server = BEHAVIOR.server(manager, serve)
-    commander = BehaviorCommander(instance.node("valor_ros_controller"))
     heard = threading.Event()
-    commander.answered = heard.set
+    commander = BehaviorCommander(instance.node("valor_ros_controller"), heard.set)
 
     def ask(number: int, behavior: str) -> BehaviorAnswer | None:
         """What came of it; None: the Motion Manager has not been found yet."""
@@ -266,9 +265,8 @@ def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(insta
         return topic.server(instance.node(name), serve)
 
     servers = [server_of("comms_manager", STOP)]
-    commander = BehaviorCommander(instance.node("valor_ros_controller"))
     heard = threading.Event()
-    commander.answered = heard.set
+    commander = BehaviorCommander(instance.node("valor_ros_controller"), heard.set)
 
     def ask(behavior: str) -> str:
         heard.clear()

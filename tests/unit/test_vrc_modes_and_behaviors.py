@@ -63,15 +63,15 @@ class ModesAndBehaviors(RuleBasedStateMachine):
     def look(self) -> None:
         """After every cycle: what is reported is one of the cases, and true."""
         vrc = self.system.vrc
-        report, heard, previous = vrc.modes.report, vrc.interface.behavior, self.last
+        report, heard, previous = vrc.mode_controller.report, vrc.interface.behavior, self.last
         self.last = report
         assert report.status in REPORTS or not heard, report
-        assert bool(vrc.modes.active_mode) == bool(heard)
+        assert bool(vrc.mode_controller.active_mode) == bool(heard)
         if not heard:
             assert report.current == "none" and report.status & S.ERR_CONTROLLER_NOT_READY, report
         elif not report.status & S.MODE_PROCESSING:
             assert report.current == "stop" or MODES.fits(report.current, heard), (report, heard)
-            assert vrc.modes.active_mode == report.current
+            assert vrc.mode_controller.active_mode == report.current
         if report.current != previous.current and not report.status & (S.EXTERNAL_CHANGE | S.ERR_CONTROLLER_NOT_READY):
             if report.status & S.MODE_PROCESSING:  # an emergency stop that goes on to another way to stop
                 assert report.requested in MODES.emergency_stop, (previous, report)
@@ -154,9 +154,9 @@ class ModesAndBehaviors(RuleBasedStateMachine):
     def the_vrc_restarts(self) -> None:
         self.system.start_vrc()
         self.clients.clear()  # nobody is left to answer them
-        self.last = self.system.vrc.modes.report
+        self.last = self.system.vrc.mode_controller.report
         self.system.run(2)
-        report = self.system.vrc.modes.report
+        report = self.system.vrc.mode_controller.report
         if self.system.vrc.interface.behavior:
             assert report.status == S.EXTERNAL_CHANGE
 
@@ -181,7 +181,7 @@ class ModesAndBehaviors(RuleBasedStateMachine):
         """With everything in order again, mode and behavior agree and everybody has been answered."""
         self.system.commander.lose_requests = self.system.commander.lose_replies = False
         self.settle()
-        report = self.system.vrc.modes.report
+        report = self.system.vrc.mode_controller.report
         assert not report.status & S.MODE_PROCESSING, report
         assert report.current == "stop" or MODES.fits(report.current, str(self.behavior)), (report, self.behavior)
         assert all(client.result for client in self.clients)
@@ -275,7 +275,7 @@ def test_what_the_motion_manager_fell_silent_on_is_not_asked_for_when_it_is_back
     system.frozen = False
     system.run(SETTLED)
     assert system.commander.asked == asked
-    assert system.vrc.modes.report == ModeReport("step_manipulate", str(behavior(system)), S.EXTERNAL_CHANGE)
+    assert system.vrc.mode_controller.report == ModeReport("step_manipulate", str(behavior(system)), S.EXTERNAL_CHANGE)
 
 
 def test_a_lost_reply_is_no_refusal_if_the_robot_is_where_it_was_asked_to_go(system: System) -> None:
@@ -309,7 +309,7 @@ def test_a_stop_that_cannot_follow_does_not_end_the_change_under_way(system: Sys
 def test_an_external_change_is_reported_even_if_something_is_asked_in_the_same_cycle(system: System) -> None:
     """The report of what was asked for came instead of it."""
     reports: list[ModeReport] = []
-    system.after = lambda: reports.append(system.vrc.modes.report)
+    system.after = lambda: reports.append(system.vrc.mode_controller.report)
     assert system.motion is not None and system.motion.go(Behavior.FALL, "pushed")
     system.ask("stand_prep")
     system.run(10)

@@ -30,13 +30,16 @@ YAW = 0.6
 class Topic:
     """Keeps what was published last, as it would leave the process, and counts."""
 
+    name: str
     kind: type
+    order: list[str]  # of all topics' messages
     new: list[Any] = field(default_factory=list)
     count: int = 0
 
     def publish(self, message: Any) -> None:
         self.new.append(deserialize_message(message, self.kind) if isinstance(message, bytes) else message)
         self.count += 1
+        self.order.append(self.name)
 
 
 @dataclass
@@ -44,9 +47,10 @@ class Topics:
     """In the place of a ROS node."""
 
     by_name: dict[str, Topic] = field(default_factory=dict)
+    order: list[str] = field(default_factory=list)
 
     def create_publisher(self, kind: type, name: str, _: object) -> Topic:
-        return self.by_name.setdefault(name, Topic(kind))
+        return self.by_name.setdefault(name, Topic(name, kind, self.order))
 
     def new(self, name: str) -> Any | None:
         """What has been published since the last look."""
@@ -122,8 +126,10 @@ def test_every_number_stands_where_it_belongs_and_comes_at_its_rate() -> None:
             pelvis_orientation_variance=some(3) ** 2,
             pelvis_linear_velocity_variance=some(3) ** 2,
         )
-        publisher.publish_joints(hw)
+        topics.order.clear()
+        publisher.publish_measured(hw)
         publisher.publish(hw)
+        assert topics.order[0] == "/clock", "a stamp that the clock has not come to"
         for name, topic in topics.by_name.items():
             for message in topic.new if name != "/robot_description" else ():
                 if header := getattr(message, "header", None):

@@ -19,7 +19,8 @@ def system() -> System:
 def silence(system: System) -> str:
     """Whom the VRC names after nothing has come for too long."""
     system.clock += 2.0 * SILENCE
-    system.vrc.interface.read(0.0)
+    system.vrc.interface.receive(0.0)
+    system.vrc.interface.listen()
     return system.vrc.interface.silent
 
 

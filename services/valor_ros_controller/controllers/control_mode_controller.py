@@ -83,13 +83,13 @@ class ControlModeController:
         hard_resets: how often all controllers had to start anew.
         last_refusal: of a request, with its reason; for people.
         rejected: how many requests were refused.
-        refusal: why every request is refused; empty: it is not.
     """
 
     name = "control_mode_controller"
     type = "valor_ros_controller/ControlModeController"
 
-    def __init__(self, table: ControlModeTable, motion_system: MotionSystem) -> None:
+    def __init__(self, table: ControlModeTable, motion_system: MotionSystem, refusal: str = "") -> None:
+        """Begin without knowing where the robot is; ``refusal``: why every request is refused; empty: it is not."""
         self._table = table
         self._motion = motion_system
         self._requests: deque[tuple[str, ModeClient | None]] = deque()
@@ -102,7 +102,7 @@ class ControlModeController:
         self.hard_resets = 0
         self.last_refusal = ""
         self.rejected = 0
-        self.refusal = ""
+        self._refusal = refusal
 
     @property
     def current(self) -> str:
@@ -216,8 +216,8 @@ class ControlModeController:
 
     def _consider(self, requested: str, client: ModeClient | None) -> None:
         """Begin what is asked for, or refuse it."""
-        if self.refusal:
-            self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, self.refusal)
+        if self._refusal:
+            self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, self._refusal)
             return
         target = requested.strip().lower()
         modes = self._table.modes

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from math import nan
 from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -18,7 +19,9 @@ import bifrost
 from valor.common.behaviors import FALLEN
 from valor.common.messages import DeviceStatus, Statistics
 from valor.common.topics import DEVICES, STATISTICS
+from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
 
 PERIOD = 1.0  # [s]
 _SILENT = 3.0  # a process whose statistics are older than this has stopped [s]
@@ -47,6 +50,32 @@ class Snapshot:
     joint_controllers: tuple[str, ...]
     last_trajectory_refusal: str
     trajectories_refused: int
+
+    @classmethod
+    def of(cls, core: Core, bypass: ControllerBypass, cycles: int) -> Snapshot:
+        """Of now, after so many cycles. Update thread."""
+        interface, mode, hw = core.interface, core.mode_controller, core.hw
+        refused = [controller for controller in core.trajectories.values() if controller.last_refusal]
+        return cls(
+            silent=interface.silent,
+            behavior=interface.behavior,
+            behavior_reason=interface.behavior_reason,
+            proprioceptor_age=interface.proprioceptor_age,
+            motion_state_age=interface.motion_state_age,
+            messages_rejected=interface.rejected,
+            battery_voltage=hw.measured.battery_voltage if hw.measured else nan,
+            last_command_refusal=bypass.last_refusal,
+            commands_refused=bypass.refusals,
+            set_points_sent=interface.set_points_sent,
+            set_points_clamped=hw.clamped,
+            cycles=cycles,
+            control_mode=mode.current,
+            last_mode_refusal=mode.last_refusal,
+            modes_refused=mode.rejected,
+            joint_controllers=core.controller.joints.active,
+            last_trajectory_refusal="; ".join(controller.last_refusal for controller in refused),
+            trajectories_refused=sum(controller.rejected for controller in core.trajectories.values()),
+        )
 
 
 class ProcessDiagnostics:

@@ -176,17 +176,20 @@ class Publisher:
         return pairs
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
-        """Publish what else is due in this cycle. Robot time is in the stamp already."""
-        if self._clock:
-            self._clock.publish(self._clock_message)
+        """Publish what else is due in this cycle."""
         cycle = self._cycle
         self._cycle += 1
         for every, offset, publish in self._due:
             if cycle % every == offset:
                 publish(hw)
 
-    def publish_joints(self, hw: ValorEscherHWInterface) -> None:
-        """Publish the joints' state if it is due: it waits for nothing but the measurement. Before ``publish``."""
+    def publish_measured(self, hw: ValorEscherHWInterface) -> None:
+        """Publish what waits for nothing but the measurement: the clock, before all that bears its stamp, and joints.
+
+        Before ``publish``; robot time is in the stamp already.
+        """
+        if self._clock:
+            self._clock.publish(self._clock_message)
         if self._cycle % self._joints_every:
             return
         measured = _measured(hw)

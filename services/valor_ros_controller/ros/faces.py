@@ -1,0 +1,132 @@
+"""All that ROS sees of the core and asks of it: topics, services, actions and parameters, put together."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+
+from valor.common.behaviors import ControlMode
+from valor.common.processes import PROCESSES
+from valor.service import Context
+from valor.valor_ros_controller.core import Core
+from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.ros.control_mode_action import ControlModeAction
+from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
+from valor.valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
+from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher
+from valor.valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
+from valor.valor_ros_controller.ros.footstep_state import FootstepStatePublisher
+from valor.valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
+from valor.valor_ros_controller.ros.motion_state_publisher import MotionStatePublisher
+from valor.valor_ros_controller.ros.node import RosThread
+from valor.valor_ros_controller.ros.parameters import RATE, Parameters, TrajectoryParameters
+from valor.valor_ros_controller.ros.publisher import Publisher
+from valor.valor_ros_controller.ros.robot_status import RobotStatusPublisher
+from valor.valor_ros_controller.ros.tracking_action import TrackingAction
+
+
+class Faces:
+    """What they publish is published in the update thread; what they are asked comes in the ROS thread.
+
+    Attributes:
+        bypass: what passes the controllers by.
+    """
+
+    def __init__(
+        self, ros: RosThread, parameters: Parameters, core: Core, context: Context, *, tree: KinematicTree, rate: float
+    ) -> None:
+        """Open them.
+
+        Args:
+            ros: whose node.
+            parameters: of the node.
+            core: what is shown.
+            context: of the process.
+            tree: links and frames.
+            rate: of the update loop [Hz].
+
+        Raises:
+            ConfigurationError: a parameter was set at start to what it cannot be.
+        """
+        node, refusal = ros.node, context.settings.ros_refusal
+        self._node, self._parameters, self._core, self._refusal = node, parameters, core, refusal
+        self._stamp = stamp = Time()
+        simulated = context.settings.profile != "hardware"
+        self._publisher = Publisher(node, context.robot, tree, stamp, rate=rate, simulated=simulated)
+        self.bypass = ControllerBypass(
+            node,
+            context.node,
+            core.interface,
+            (tree.base_frame, tree.base),
+            soft_stop=lambda: core.mode_controller.request(ControlMode.SOFT_STOP),
+            refusal=refusal,
+        )
+        self._motion = MotionStatePublisher(node, stamp, rate)
+        self._status = RobotStatusPublisher(node, core.interface)
+        self._modes = ControlModeAction(node, core.mode_controller, stamp)
+        self._joint_states = self._open_controllers()
+        self._footsteps = FootstepStatePublisher(node, core.footsteps, stamp)
+        self._managers = ControllerManagerServices(
+            node,
+            core.controller,
+            core.hw,
+            rate=rate,
+            stamp=stamp,
+            silent=lambda: core.interface.silent,
+            refusal=refusal,
+        )
+        self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
+        hardware = context.settings.variant == "hardware"
+        processes = [process.name for process in PROCESSES if hardware or not process.hardware_only]
+        self._diagnostics = Diagnostics(node, context.node, self._snapshots, rate, processes)
+
+    def _open_controllers(self) -> list[ControllerStatePublisher]:
+        """Parameters, actions and topics of the trajectory and tracking controllers."""
+        node, core, table = self._node, self._core, self._core.table
+        configs = table.joint_controllers | table.robot_controllers
+        states = []
+        for name, controller in core.trajectories.items():
+            base = f"{table.namespace}/{name}"
+            TrajectoryParameters(self._parameters, controller, configs[name])
+            JointTrajectoryAction(node, base, controller, self._stamp, core.controller.queue, refusal=self._refusal)
+            states.append(self._open_state(name, controller, configs[name].state_publish_rate))
+        for name, follower in core.tracking.items():
+            TrackingAction(node, f"{table.namespace}/{name}", follower)
+            states.append(self._open_state(name, follower, table.tracking_controllers[name].state_publish_rate))
+        return states
+
+    def _open_state(self, name: str, controller: object, default: float) -> ControllerStatePublisher:
+        topic = f"{self._core.table.namespace}/{name}/controller_state"
+        publisher = ControllerStatePublisher(self._node, topic, controller, self._stamp, default)
+
+        def change(rate: float) -> None:
+            publisher.rate = rate
+
+        parameter = f"{name}.state_publish_rate"
+        change(self._parameters.declare(parameter, default, "of ~/controller_state [Hz]", RATE, change))
+        return publisher
+
+    def publish_measured(self) -> None:
+        """Publish what waits for nothing but the measurement, as soon as it is there."""
+        hw = self._core.hw
+        self._stamp.sec, self._stamp.nanosec = divmod(hw.time, 1_000_000_000)
+        self._publisher.publish_measured(hw)
+
+    def publish(self, measured: bool) -> None:
+        """Publish a cycle; ``measured``: one with a measurement."""
+        core = self._core
+        hw, mode = core.hw, core.mode_controller.current
+        if measured:
+            self._publisher.publish(hw)
+            for state in self._joint_states:
+                state.publish(hw)
+            self._motion.publish(core.interface.motion_state)
+            self.bypass.update(mode, hw)
+        self._modes.publish(hw.time)
+        self._footsteps.publish()
+        self._managers.publish()
+        self._status.publish(mode)
+
+    def hand_over(self, snapshot: Snapshot) -> None:
+        """Give the diagnostics how we fare."""
+        self._snapshots.write(snapshot)
