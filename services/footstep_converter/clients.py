@@ -22,7 +22,7 @@ from vigir_footstep_planning_msgs.msg import StepPlan
 from valor.common.floods import TopicFloods
 from valor.footstep_converter.execution import End, Execution, Outcome
 from valor.footstep_converter.feedback import FeedbackMaker, final_state
-from valor.footstep_converter.plan import ODOM
+from valor.footstep_converter.frames import ODOM
 
 NAMESPACE = "/robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic

@@ -7,7 +7,8 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, Step
 
 from valor.footstep_converter.execution import End, Execution, Outcome
-from valor.footstep_converter.plan import ODOM, PlannedStep
+from valor.footstep_converter.frames import ODOM
+from valor.footstep_converter.plan import PlannedStep
 
 
 class FeedbackMaker:
@@ -55,7 +56,7 @@ class FeedbackMaker:
 
     def _steps_of(self, plan: list[PlannedStep]) -> list[Step]:
         if plan != self._plan:
-            self._plan, self._steps = list(plan), [step.message() for step in plan]
+            self._plan, self._steps = list(plan), [_message(step) for step in plan]
         return self._steps
 
 
@@ -63,3 +64,16 @@ def final_state(outcome: Outcome) -> int:
     """FINISHED or FAILED."""
     feedback = ExecuteStepPlan.Feedback
     return int(feedback.FINISHED if outcome.end is End.SUCCEEDED else feedback.FAILED)
+
+
+def _message(planned: PlannedStep) -> Step:
+    """A step as the feedback shows it."""
+    step = Step(step_index=planned.index, valid=True)
+    step.header.frame_id = step.foot.header.frame_id = ODOM
+    step.foot.foot_index = planned.foot
+    p, q = step.foot.pose.position, step.foot.pose.orientation
+    p.x, p.y, p.z = planned.sole.position
+    q.w, q.x, q.y, q.z = planned.sole.orientation
+    step.swing_height = planned.swing_height
+    step.step_duration, step.sway_duration = planned.swing_duration, planned.transfer_duration
+    return step

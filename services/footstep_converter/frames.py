@@ -17,7 +17,8 @@ from tf2_msgs.msg import TFMessage
 
 from valor.common.poses import Pose
 from valor.common.transforms import TransformBuffer
-from valor.footstep_converter.plan import ODOM
+
+ODOM = "odom"
 
 HISTORY = 10.0  # for which transforms are kept [s], as tf2 does
 MOST = 5000  # messages kept unread

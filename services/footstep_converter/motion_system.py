@@ -5,13 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import numpy as np
+
 import bifrost
-from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
+from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 from valor.footstep_converter.plan import PlannedStep
 
 AT_ONCE = 64  # step statuses that wait, and are taken in one turn
 ANSWER = 2.0  # the Motion Manager answers a plan within this [s]
+
+
+def footstep(step: PlannedStep) -> Footstep:
+    """A step as the Motion System takes it."""
+    return Footstep(
+        step_index=step.index,
+        foot=step.foot,
+        position_in_odom=np.array(step.sole.position),
+        orientation_in_odom=np.array(step.sole.orientation),
+        swing_height=step.swing_height,
+        swing_duration=step.swing_duration,
+        transfer_duration=step.transfer_duration,
+    )
 
 
 class MotionSystem:
@@ -37,7 +52,7 @@ class MotionSystem:
 
     def request(self, steps: Sequence[PlannedStep], answered: Callable[[], None]) -> Future[FootstepPlanReply]:
         """Send a plan, or a stop (no steps); ``answered`` is called, from another thread, when the future is done."""
-        request = FootstepPlanRequest(steps=[step.footstep() for step in steps])
+        request = FootstepPlanRequest(steps=[footstep(step) for step in steps])
         future = self._requests.submit(self._client.call, request, ANSWER)
         future.add_done_callback(lambda _: answered())
         return future

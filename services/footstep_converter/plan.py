@@ -11,21 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import geometry_msgs.msg
-import numpy as np
-from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutionStatus, Step, StepPlan
+from vigir_footstep_planning_msgs import msg as vigir
+from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus, StepPlan
 
 from valor.common.errors import ValorError
-from valor.common.messages import Footstep
 from valor.common.poses import Pose
-from valor.robot.motion_tables import Footsteps
-from valor.robot.soles import outline, overlap
-from valor.robot.tables import Feet
+from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, Step, StepRule
 
-ODOM = "odom"
-FEET = {Foot.LEFT: "left", Foot.RIGHT: "right"}
-
-_UNIT = 1e-3  # how far a quaternion's norm may be from 1 and still be an orientation
-_ROUNDING = 1e-6  # allowed beyond a limit: the durations of a plan are float32
+PlannedStep = Step[Pose]
+TERMS = ("swing_height", "step_duration", "sway_duration")
+"""What ViGIR's planner calls the numbers of a step."""
 
 
 class PlanError(ValorError):
@@ -57,55 +52,6 @@ def _indices(text: str) -> PlanError:
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What the robot can step."""
-
-    footsteps: Footsteps
-    feet: Feet
-
-
-@dataclass(frozen=True)
-class PlannedStep:
-    """A step, its sole in odom."""
-
-    index: int
-    foot: int
-    sole: Pose
-    swing_height: float  # [m]; 0: the robot's default
-    swing_duration: float  # [s]; likewise
-    transfer_duration: float  # of the double support before [s]; likewise
-
-    @property
-    def name(self) -> str:
-        """As it is called in texts."""
-        return f"step {self.index} ({FEET[self.foot]})"
-
-    def footstep(self) -> Footstep:
-        """As the Motion System takes it."""
-        return Footstep(
-            step_index=self.index,
-            foot=self.foot,
-            position_in_odom=np.array(self.sole.position),
-            orientation_in_odom=np.array(self.sole.orientation),
-            swing_height=self.swing_height,
-            swing_duration=self.swing_duration,
-            transfer_duration=self.transfer_duration,
-        )
-
-    def message(self) -> Step:
-        """As the feedback shows it."""
-        step = Step(step_index=self.index, valid=True)
-        step.header.frame_id = step.foot.header.frame_id = ODOM
-        step.foot.foot_index = self.foot
-        p, q = step.foot.pose.position, step.foot.pose.orientation
-        p.x, p.y, p.z = self.sole.position
-        q.w, q.x, q.y, q.z = self.sole.orientation
-        step.swing_height = self.swing_height
-        step.step_duration, step.sway_duration = self.swing_duration, self.transfer_duration
-        return step
-
-
-@dataclass(frozen=True)
 class RunningPlan:
     """The plan that the Motion Manager executes."""
 
@@ -122,7 +68,7 @@ class RunningPlan:
         return [step for step in self.steps if step.index < steps[0].index] + list(steps)
 
 
-def check_size(plan: StepPlan, limits: Limits) -> None:
+def check_size(plan: StepPlan, rule: StepRule) -> None:
     """Refuse a plan by its length alone, before any work on its steps.
 
     Raises:
@@ -134,11 +80,11 @@ def check_size(plan: StepPlan, limits: Limits) -> None:
             ErrorStatus.ERR_INCONSISTENT_REQUEST,
             "the plan has no steps, and no plan runs that it could stop",
         )
-    if len(plan.steps) > limits.footsteps.max_steps:
+    if len(plan.steps) > rule.limits.max_steps:
         raise PlanError(
             FootstepExecutionStatus.ERR_INVALID_PLAN,
             ErrorStatus.ERR_INVALID_PARAMETERS,
-            f"the plan has {len(plan.steps)} steps; the robot takes at most {limits.footsteps.max_steps}",
+            f"the plan has {len(plan.steps)} steps; the robot takes at most {rule.limits.max_steps}",
         )
 
 
@@ -162,13 +108,13 @@ def frame(plan: StepPlan) -> str:
 
 
 def convert(
-    plan: StepPlan, limits: Limits, running: RunningPlan | None = None, to_odom: Pose | None = None
+    plan: StepPlan, rule: StepRule, running: RunningPlan | None = None, to_odom: Pose | None = None
 ) -> list[PlannedStep]:
     """The steps of a plan that shall be taken.
 
     Args:
         plan: from ROS; all poses in one frame, at the soles.
-        limits: of the robot.
+        rule: of the robot.
         running: what the plan is an update of. None: nothing runs, and the plan begins with step 0.
         to_odom: the plan's frame in odom; None: it is odom.
 
@@ -179,7 +125,7 @@ def convert(
     Raises:
         PlanError: the plan is refused; names the step and what was expected.
     """
-    check_size(plan, limits)
+    check_size(plan, rule)
     frame(plan)
     first = plan.steps[0].step_index
     if running is None and first != 0:
@@ -188,13 +134,13 @@ def convert(
             ErrorStatus.ERR_INCONSISTENT_STEP_PLAN,
             f"the plan begins with step {first}; without a running plan it begins with step 0",
         )
-    steps = [_step(step, first + offset, limits.footsteps, to_odom) for offset, step in enumerate(plan.steps)]
+    steps = [_step(step, first + offset, rule, to_odom) for offset, step in enumerate(plan.steps)]
     start = _start(plan, 1 - steps[0].foot, to_odom) if running is None else None
-    _check_sequence(steps, start, limits)
-    return steps if running is None else _merge(steps, running, limits)
+    _check_sequence(steps, start, rule)
+    return steps if running is None else _merge(steps, running, rule)
 
 
-def _merge(steps: list[PlannedStep], running: RunningPlan, limits: Limits) -> list[PlannedStep]:
+def _merge(steps: list[PlannedStep], running: RunningPlan, rule: StepRule) -> list[PlannedStep]:
     """The steps of an update from the first that the running plan lets change.
 
     Both plans have one step of the same index and foot, which the update leaves where it is: planner and robot may have
@@ -222,36 +168,37 @@ def _merge(steps: list[PlannedStep], running: RunningPlan, limits: Limits) -> li
         move = own.sole.plane_to(kept.sole)
         steps = [replace(step, sole=kept.sole if step is own else move @ step.sole) for step in steps]
     merged = [step for step in steps if step.index >= at]
-    _check_sequence(merged, before, limits)
+    _check_sequence(merged, before, rule)
     return merged
 
 
-def _check_sequence(steps: Sequence[PlannedStep], before: PlannedStep | Pose | None, limits: Limits) -> None:
+def _check_sequence(steps: Sequence[PlannedStep], before: PlannedStep | Pose | None, rule: StepRule) -> None:
     """Every step as seen from the other foot.
 
     Args:
         steps: one after the other.
         before: the step before them, or where the foot stands that stays during the first one; None: not known here,
             which leaves the first step to the Motion Manager.
-        limits: of the robot.
+        rule: of the robot.
     """
     for step in steps:
-        if isinstance(before, PlannedStep):
+        if isinstance(before, Step):
             if step.foot == before.foot:
                 raise _inconsistent(f"{step.name}: the {FEET[step.foot]} foot twice in a row; feet must alternate")
             before = before.sole
-        if before is not None:
-            _check_reach(step, before, limits)
+        if before is not None and (reason := rule.beside(step, before)):
+            raise _invalid(reason)
         before = step
 
 
-def _name(step: Step) -> str:
-    return f"step {step.step_index} ({FEET.get(step.foot.foot_index, 'no foot')})"
+def _name(step: vigir.Step) -> str:
+    foot = step.foot.foot_index
+    return f"step {step.step_index} ({FEET[foot] if foot in (LEFT, RIGHT) else 'no foot'})"
 
 
 def _start(plan: StepPlan, foot: int, to_odom: Pose | None) -> Pose | None:
     """Where a foot stands before step 0, if the planner says, which it does by naming a frame."""
-    stands = plan.start.right if foot == Foot.RIGHT else plan.start.left
+    stands = plan.start.right if foot == RIGHT else plan.start.left
     if not (plan.start.header.frame_id or stands.header.frame_id):
         return None
     try:
@@ -262,27 +209,22 @@ def _start(plan: StepPlan, foot: int, to_odom: Pose | None) -> Pose | None:
         raise PlanError(error.status, ErrorStatus.ERR_INVALID_START, str(error)) from None
 
 
-def _step(step: Step, index: int, limits: Footsteps, to_odom: Pose | None) -> PlannedStep:
+def _step(step: vigir.Step, index: int, rule: StepRule, to_odom: Pose | None) -> PlannedStep:
     """One step by itself: everything but its place relative to the other foot."""
     if step.step_index != index:
         raise _indices(f"step {step.step_index} stands where step {index} was expected")
     name = _name(step)
-    if step.foot.foot_index not in FEET:
+    if step.foot.foot_index not in (LEFT, RIGHT):
         raise _invalid(f"{name}: foot index {step.foot.foot_index}; expected 0 (left) or 1 (right)")
     if not step.valid:
         raise _invalid(f"{name}: its planner marked it as not valid")
     if step.colliding:
         raise _invalid(f"{name}: its planner marked it as colliding")
     sole = _pose(step.foot.pose, name, to_odom)
-    _within(name, "tilt of the sole", sole.tilt, (0.0, limits.max_tilt), "rad")
-    height, swing, transfer = step.swing_height, step.step_duration, step.sway_duration
-    _within(name, "swing_height", height, (0.0, limits.max_swing_height), "m")
-    if swing != 0.0:
-        _within(name, "step_duration", swing, (limits.min_swing_duration, limits.max_swing_duration), "s")
-    if transfer != 0.0:
-        bounds = (limits.min_transfer_duration, limits.max_transfer_duration)
-        _within(name, "sway_duration", transfer, bounds, "s")
-    return PlannedStep(index, step.foot.foot_index, sole, height, swing, transfer)
+    planned = Step(index, step.foot.foot_index, sole, step.swing_height, step.step_duration, step.sway_duration)
+    if reason := rule.alone(planned):
+        raise _invalid(reason)
+    return planned
 
 
 def _pose(pose: geometry_msgs.msg.Pose, name: str, to_odom: Pose | None) -> Pose:
@@ -297,33 +239,6 @@ def _pose(pose: geometry_msgs.msg.Pose, name: str, to_odom: Pose | None) -> Pose
 def _unit(q: geometry_msgs.msg.Quaternion, name: str) -> tuple[float, float, float, float]:
     w, x, y, z = q.w, q.x, q.y, q.z
     norm = math.hypot(w, x, y, z)
-    if not abs(norm - 1.0) <= _UNIT:
+    if not abs(norm - 1.0) <= UNIT:
         raise _invalid(f"{name}: orientation has norm {norm:.6g}; expected 1")
     return w / norm, x / norm, y / norm, z / norm
-
-
-def _check_reach(step: PlannedStep, stance: Pose, limits: Limits) -> None:
-    """A step while the other foot stands at ``stance``."""
-    reach, name, sole = limits.footsteps, step.name, step.sole
-    dx, dy, dz = (a - b for a, b in zip(sole.position, stance.position, strict=True))
-    c, s = math.cos(stance.yaw), math.sin(stance.yaw)
-    forward, left = c * dx + s * dy, c * dy - s * dx
-    width = left if step.foot == Foot.LEFT else -left
-    turn = math.remainder(sole.yaw - stance.yaw, math.tau)
-    _within(name, "forward of the other foot", forward, (-reach.max_backward, reach.max_forward), "m")
-    _within(name, "width between the feet", width, (reach.min_width, reach.max_width), "m")
-    _within(name, "distance from the other foot", math.hypot(dx, dy), (0.0, reach.max_distance), "m")
-    _within(name, "height above the other foot", dz, (-reach.max_down, reach.max_up), "m")
-    _within(name, "turned from the other foot", turn, (-reach.max_yaw, reach.max_yaw), "rad")
-    feet = (limits.feet.left, limits.feet.right)
-    own, other = (
-        outline(pose.position, pose.rotation, feet[foot]) for pose, foot in ((sole, step.foot), (stance, 1 - step.foot))
-    )
-    if overlap(own, other):
-        raise _invalid(f"{name}: it would stand on the {FEET[1 - step.foot]} foot")
-
-
-def _within(name: str, what: str, value: float, bounds: tuple[float, float], unit: str) -> None:
-    low, high = bounds
-    if not low - _ROUNDING <= value <= high + _ROUNDING:  # NaN is within nothing
-        raise _invalid(f"{name}: {what} {value:.4g} {unit}; expected {low:g} to {high:g}")

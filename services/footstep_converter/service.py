@@ -25,7 +25,8 @@ from valor.footstep_converter.clients import Clients, Goal
 from valor.footstep_converter.execution import End, Execution, Outcome, aborted, refusal
 from valor.footstep_converter.frames import Frames
 from valor.footstep_converter.motion_system import ANSWER, MotionSystem
-from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, check_size, convert, frame
+from valor.footstep_converter.plan import TERMS, PlanError, PlannedStep, check_size, convert, frame
+from valor.robot.footsteps import StepRule
 from valor.service import Context
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
@@ -177,12 +178,12 @@ class FootstepConverter:
         if footsteps is None:
             text = f"robot {self._robot.name!r} takes no footstep plans: its robot.yaml has no footsteps"
             raise PlanError(_F.ERR_CONTROLLER_NOT_READY, ErrorStatus.ERR_INVALID_PARAMETERS, text)
-        limits, plan = Limits(footsteps, self._robot.tables.feet), goal.plan
-        check_size(plan, limits)
+        rule, plan = StepRule(footsteps, self._robot.tables.feet, TERMS), goal.plan
+        check_size(plan, rule)
         stamp = plan.header.stamp
         to_odom = self._frames.in_odom(frame(plan), stamp.sec * 10**9 + stamp.nanosec)
         running = self._execution.running_plan if self._execution is not None else None
-        return convert(plan, limits, running, to_odom)
+        return convert(plan, rule, running, to_odom)
 
     def _look_again(self) -> None:
         """Whether the transform that a plan waits for has come."""

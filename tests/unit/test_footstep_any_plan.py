@@ -22,6 +22,7 @@ from harness.examples import examples
 from tests.unit.test_footstep_plan import LIMITS, MOVE, REACH, ROBOT, make_plan, plans
 from tests.unit.test_motion_manager_footsteps import Bench
 from valor.common.messages import Footstep
+from valor.footstep_converter.motion_system import footstep
 from valor.footstep_converter.plan import PlanError, PlannedStep, RunningPlan, convert, frame
 from valor.motion_manager.whole_body.walking import footsteps
 from valor.motion_manager.whole_body.walking.swing import SolePose
@@ -202,7 +203,7 @@ def hand_over(bench: Bench, plan: StepPlan, running: RunningPlan | None = None) 
     except PlanError as error:
         assert state(bench) == before
         return error
-    reason = bench.send([step.footstep() for step in steps])
+    reason = bench.send([footstep(step) for step in steps])
     if reason:
         assert state(bench) == before
         return reason
@@ -315,7 +316,7 @@ def test_nor_does_what_comes_over_bifrost_from_anybody(at: int, what: str, data:
     """The Motion Manager does not rely on the converter."""
     plan = make_plan([MOVE] * 4)
     bench = ready_for(plan)
-    sent: list[Footstep] = [step.footstep() for step in convert(plan, LIMITS)]
+    sent: list[Footstep] = [footstep(step) for step in convert(plan, LIMITS)]
     value: object = data.draw(
         integers if what in ("step_index", "foot") else numbers if what.endswith("odom") else floats, label=what
     )

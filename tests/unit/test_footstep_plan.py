@@ -14,15 +14,17 @@ from vigir_footstep_planning_msgs.msg import ErrorStatus, Foot, FootstepExecutio
 
 from harness.places import ROBOTS
 from valor.common.poses import Pose, level
-from valor.footstep_converter.plan import Limits, PlanError, PlannedStep, RunningPlan, convert
+from valor.footstep_converter.motion_system import footstep
+from valor.footstep_converter.plan import TERMS, PlanError, PlannedStep, RunningPlan, convert
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import StepRule
 from valor.robot.motion_tables import Footsteps
 from valor.robot.soles import outline, overlap
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 assert ROBOT.tables.footsteps is not None
 REACH: Footsteps = ROBOT.tables.footsteps
-LIMITS = Limits(REACH, ROBOT.tables.feet)
+LIMITS = StepRule(REACH, ROBOT.tables.feet, TERMS)
 S = FootstepExecutionStatus
 
 
@@ -119,15 +121,15 @@ def test_a_good_plan_converts_exactly(plan: StepPlan) -> None:
     footsteps = convert(plan, LIMITS)
     assert len(footsteps) == len(plan.steps)
     for planned, step in zip(footsteps, plan.steps, strict=True):
-        footstep, pose = planned.footstep(), step.foot.pose
-        assert footstep.step_index == step.step_index
-        assert footstep.foot == step.foot.foot_index
-        assert footstep.position_in_odom.tolist() == [pose.position.x, pose.position.y, pose.position.z]
+        sent, pose = footstep(planned), step.foot.pose
+        assert sent.step_index == step.step_index
+        assert sent.foot == step.foot.foot_index
+        assert sent.position_in_odom.tolist() == [pose.position.x, pose.position.y, pose.position.z]
         q = pose.orientation
-        np.testing.assert_allclose(footstep.orientation_in_odom, [q.w, q.x, q.y, q.z], rtol=0, atol=1e-12)
-        assert footstep.swing_height == step.swing_height
-        assert footstep.swing_duration == step.step_duration
-        assert footstep.transfer_duration == step.sway_duration
+        np.testing.assert_allclose(sent.orientation_in_odom, [q.w, q.x, q.y, q.z], rtol=0, atol=1e-12)
+        assert sent.swing_height == step.swing_height
+        assert sent.swing_duration == step.step_duration
+        assert sent.transfer_duration == step.sway_duration
 
 
 @given(plans, st.data())

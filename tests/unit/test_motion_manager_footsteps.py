@@ -178,7 +178,7 @@ def test_no_foot_on_the_other() -> None:
     """As wide as is allowed, and yet toe on toe: turned inwards."""
     bench = Bench()
     narrow = -0.1 + ROBOT.tables.footsteps.min_width + 0.001  # type: ignore[union-attr]
-    assert "step 0 (left) would stand on the right foot" in bench.send([footstep(0, 0, 0.0, narrow, yaw=-0.5)])
+    assert "step 0 (left): it would stand on the right foot" in bench.send([footstep(0, 0, 0.0, narrow, yaw=-0.5)])
     assert not bench.send([footstep(0, 0, 0.0, narrow)])
 
 
@@ -197,7 +197,7 @@ def test_a_turn_is_that_of_the_headings_however_the_soles_tilt() -> None:
     place = 0.3 * np.array((-np.sin(heading), np.cos(heading), 0.0))
     for turn, refused in ((0.99 * limits.max_yaw, False), (1.01 * limits.max_yaw, True)):
         asked = Footstep(0, 0, place, sole(heading + turn, tilt), 0.0, 0.0, 0.0)
-        assert ("turned of the other foot" in bench.send([asked])) == refused
+        assert ("turned from the other foot" in bench.send([asked])) == refused
 
 
 def test_a_long_step_is_not_a_wide_one() -> None:
@@ -205,8 +205,8 @@ def test_a_long_step_is_not_a_wide_one() -> None:
     assert limits is not None
     across = 0.99 * min(limits.max_forward, limits.max_width, limits.max_distance)
     reason = Bench().send([footstep(0, 0, across, -0.1 + across)])
-    assert reason.startswith("step 0 (left) is 0.")
-    assert f"expected at most {limits.max_distance} m" in reason
+    assert reason.startswith("step 0 (left): distance from the other foot 0.")
+    assert f"expected 0 to {limits.max_distance:g}" in reason
 
 
 def test_only_in_step() -> None:

@@ -8,6 +8,7 @@ together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import hypot, isfinite
 
 import numpy as np
@@ -19,14 +20,12 @@ from valor.common.topics import FOOTSTEP_PLAN
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.walking.footsteps import FEET, LEFT, Step, reach_refusal
+from valor.motion_manager.whole_body.walking.footsteps import Step
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
-from valor.robot.soles import outline, overlap
+from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, StepRule
 
-ROUNDING = 1e-6  # allowed beyond a limit [m]
-NORM = 1e-3  # most that a quaternion's norm may be off
 TOGETHER = (0.02, 0.05)  # feet so well side by side are together [m, rad]
 
 
@@ -57,9 +56,9 @@ class FootstepPlanHandler:
             soles: gives where the left and right sole are; asked in Step alone.
             recovering: whether the robot takes steps of its own to keep its balance.
         """
-        self._limits, self._walking = robot.tables.footsteps, robot.tables.walking
+        limits, self._walking = robot.tables.footsteps, robot.tables.walking
+        self._rule = None if limits is None else StepRule(limits, robot.tables.feet)
         self._adjustable = robot.read(Tuning).disturbance.plan_reach
-        self._feet = (robot.tables.feet.left, robot.tables.feet.right)
         self._fsm = fsm
         self._queue = queue
         self._rejections = rejections
@@ -102,15 +101,16 @@ class FootstepPlanHandler:
         if not asked:
             self._queue.stop(f"stopped by {origin}", self._closing())
             return
-        if self._limits is None:
+        rule = self._rule
+        if rule is None:
             raise PlanError("the robot takes no footstep plans: its robot.yaml has no table footsteps")
-        if len(asked) > self._limits.max_steps:
-            raise PlanError(f"{len(asked)} steps; expected at most {self._limits.max_steps}")
+        if len(asked) > rule.limits.max_steps:
+            raise PlanError(f"{len(asked)} steps; expected at most {rule.limits.max_steps}")
         if self._queue.stopping:
             raise PlanError(f"the plan that runs is ending ({self._queue.reason}); send another once the robot stands")
         if self._recovering():
             raise PlanError("the robot is stepping to keep its balance; send the plan once it stands")
-        steps = [self._step(step) for step in asked]
+        steps = [self._step(step, rule) for step in asked]
         before = self._before(steps[0])
         other = before.sole if before is not None else self._soles()[1 - steps[0].foot]
         for step in steps:
@@ -119,7 +119,7 @@ class FootstepPlanHandler:
                     raise PlanError(f"step {step.index} follows step {before.index}; expected step {before.index + 1}")
                 if step.foot == before.foot:
                     raise PlanError(f"step {step.index} is of the {FEET[step.foot]} foot, as is the one before it")
-            if reason := self._refusal(step, other):
+            if reason := rule.beside(step, other):
                 raise PlanError(reason)
             before, other = step, step.sole
         if self._queue.running:
@@ -151,26 +151,10 @@ class FootstepPlanHandler:
             f"at the latest from step {known[-1].index + 1}"
         )
 
-    def _refusal(self, step: Step, other: SolePose) -> str:
-        """Why a step cannot be taken while the other foot stands at ``other``; an empty text: it can."""
-        assert self._limits is not None
-        if reason := reach_refusal(step, other, self._limits):
-            return reason
-        x, y, _ = (step.sole.position - other.position).tolist()
-        if hypot(x, y) > self._limits.max_distance + ROUNDING:
-            return (
-                f"step {step.index} ({FEET[step.foot]}) is {hypot(x, y):.3f} m from the other foot; "
-                f"expected at most {self._limits.max_distance} m"
-            )
-        own = outline(step.sole.position, step.sole.rotation, self._feet[step.foot])
-        if overlap(own, outline(other.position, other.rotation, self._feet[1 - step.foot])):
-            return f"step {step.index} ({FEET[step.foot]}) would stand on the {FEET[1 - step.foot]} foot"
-        return ""
-
     def _closing(self) -> Step | None:
         """The step beside the one that is being taken; None: none is, or the feet will be side by side anyway."""
         last = self._queue.executing
-        if last is None or self._limits is None:
+        if last is None or self._rule is None:
             return None
         foot, walking = 1 - last.foot, self._walking
         aside = walking.step_width if foot == LEFT else -walking.step_width
@@ -188,32 +172,36 @@ class FootstepPlanHandler:
         turn = rotation.yaw(last.sole.rotation @ stands.rotation.T)
         if hypot(float(way[0]), float(way[1])) < TOGETHER[0] and abs(turn) < TOGETHER[1]:
             return None
-        return None if self._refusal(step, last.sole) else step
+        return None if self._rule.beside(step, last.sole) else step
 
-    def _step(self, asked: Footstep) -> Step:
+    def _step(self, asked: Footstep, rule: StepRule) -> Step:
         """One step, checked by itself, with the robot's own values where it leaves them open."""
-        name, limits, walking = f"step {asked.step_index}", self._limits, self._walking
-        assert limits is not None
-        if asked.foot not in (0, 1):
+        name, walking = f"step {asked.step_index}", self._walking
+        if asked.foot not in (LEFT, RIGHT):
             raise PlanError(f"{name}: foot {asked.foot}; expected 0 (left) or 1 (right)")
         place, orientation = asked.position_in_odom, asked.orientation_in_odom
         if place.shape != (3,) or orientation.shape != (4,):
             raise PlanError(f"{name}: position and orientation have {place.size} and {orientation.size} numbers")
         if not all(map(isfinite, (*place.tolist(), *orientation.tolist()))):
             raise PlanError(f"{name}: position or orientation is not finite")
-        if abs(hypot(*orientation.tolist()) - 1.0) > NORM:
+        if abs(hypot(*orientation.tolist()) - 1.0) > UNIT:
             raise PlanError(f"{name}: the orientation is no unit quaternion")
-        height = asked.swing_height or walking.plan_swing_height
-        swing = asked.swing_duration or walking.swing_duration
-        transfer = asked.transfer_duration or walking.transfer_duration
-        for what, value, low, high in (
-            ("swing_height", height, 0.0, limits.max_swing_height),
-            ("swing_duration", swing, limits.min_swing_duration, limits.max_swing_duration),
-            ("transfer_duration", transfer, limits.min_transfer_duration, limits.max_transfer_duration),
-        ):
-            if not isfinite(value) or not low <= value <= high:
-                raise PlanError(f"{name}: {what} {value}; expected {low} to {high}")
         matrix = np.empty((3, 3))
         rotation.matrix(rotation.quaternion(orientation), matrix)
-        sole = SolePose(place.copy(), matrix)
-        return Step(asked.step_index, asked.foot, sole, height, swing, transfer, self._adjustable)
+        step = Step(
+            asked.step_index,
+            asked.foot,
+            SolePose(place.copy(), matrix),
+            asked.swing_height,
+            asked.swing_duration,
+            asked.transfer_duration,
+            self._adjustable,
+        )
+        if reason := rule.alone(step):
+            raise PlanError(reason)
+        return replace(
+            step,
+            swing_height=step.swing_height or walking.plan_swing_height,
+            swing_duration=step.swing_duration or walking.swing_duration,
+            transfer_duration=step.transfer_duration or walking.transfer_duration,
+        )

@@ -15,9 +15,10 @@ from valor.common.errors import ConfigurationError
 from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.tasks.table import motions
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose
+from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import LEFT
 from valor.robot.model import controller_model
 
 NOBODY: dict[str, dict[str, object]] = {"self_collision": {"pairs": []}}

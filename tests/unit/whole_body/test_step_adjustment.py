@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from harness.closed_loop import load_robot
 from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, level_pose, reach_refusal
+from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
 from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
 from valor.motion_manager.whole_body.walking.step_guard import StepGuard
+from valor.robot.footsteps import LEFT, StepRule
 
 OMEGA = 3.377
 TRANSFER = 0.2
@@ -100,7 +101,7 @@ def test_whatever_the_error_the_step_is_within_reach(
         max_forward=limits.max_forward + slack,
         max_backward=max(limits.max_backward, table.max_backward) + slack,
     )
-    assert not reach_refusal(step, asked.stance, wider)
+    assert not StepRule(wider, ROBOT.tables.feet).reach(step, asked.stance)
     assert min(left, table.final) - 1e-6 <= found.left <= left + table.longest_delay + 1e-6
     assert np.isfinite(found.landing_dcm).all()
 
@@ -185,8 +186,8 @@ def test_a_late_foot_goes_where_the_dcm_needs_it_within_reach(
     x, y, _ = (place - case.step.sole.position).tolist()
     c, s = cos(heading), sin(heading)
     assert max(abs(c * x + s * y), abs(c * y - s * x)) <= adjustable + 1e-9
-    assert not reach_refusal(replace(case.step, sole=replace(case.step.sole, position=place)), case.stance,
-                             ROBOT.tables.footsteps)  # fmt: skip
+    moved_step = replace(case.step, sole=replace(case.step.sole, position=place))
+    assert not StepRule(ROBOT.tables.footsteps, ROBOT.tables.feet).reach(moved_step, case.stance)
     gain = (1.0 - exp(-OMEGA * TRANSFER)) / (OMEGA * TRANSFER)
     if adjustable == inf and np.hypot(x, y) < 0.02:  # nothing in the way
         np.testing.assert_allclose(place - case.step.sole.position, moved / gain, atol=1e-9)

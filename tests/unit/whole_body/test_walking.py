@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from valor.common import rotation
 from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, level_pose, reach_refusal
+from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
 from valor.motion_manager.whole_body.walking.step_queue import StepQueue
 from valor.motion_manager.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingPoint, SwingTrajectory
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import LEFT, RIGHT, StepRule
 
 OMEGA = 3.377
 DT = 1e-4  # of numerical integration and differentiation [s]
@@ -247,15 +248,15 @@ def test_reach_is_told_by_step_quantity_and_limit(robot: RobotDescription) -> No
         c, s = cos(heading), sin(heading)
         sole = level_pose(3.0 + c * x - s * y, -2.0 + s * x + c * y, 0.5 + z, heading + yaw)
         step = Step(7, foot, sole, 0.06, 0.6, 0.2)
-        return reach_refusal(step, level_pose(3.0, -2.0, 0.5, heading), limits)
+        return StepRule(limits, robot.tables.feet).reach(step, level_pose(3.0, -2.0, 0.5, heading))
 
     for heading in (0.0, 1.0, -3.0):
         assert not refusal(LEFT, 0.3, 0.2, heading=heading)
         assert not refusal(RIGHT, -0.2, -0.2, 0.1, -0.3, heading)
-        assert refusal(LEFT, 0.8, 0.2, heading=heading).startswith("step 7 (left) is 0.800 m forward")
-    assert "apart" in refusal(LEFT, 0.0, -0.2)  # crossed
-    assert "apart" in refusal(RIGHT, 0.0, -0.7)
-    assert "up" in refusal(LEFT, 0.0, 0.2, 0.3)
+        assert refusal(LEFT, 0.8, 0.2, heading=heading).startswith("step 7 (left): forward of the other foot 0.8 m")
+    assert "width" in refusal(LEFT, 0.0, -0.2)  # crossed
+    assert "width" in refusal(RIGHT, 0.0, -0.7)
+    assert "height" in refusal(LEFT, 0.0, 0.2, 0.3)
     assert "turned" in refusal(LEFT, 0.0, 0.2, 0.0, 0.7)
 
 
@@ -287,7 +288,7 @@ def test_steps_on_line_are_within_reach_and_alternate(command: tuple[float, floa
     last = None
     for step in follow(VelocitySteps(tables.walking), command, 10):
         assert step.foot != last
-        assert not reach_refusal(step, soles[1 - step.foot], tables.footsteps)
+        assert not StepRule(tables.footsteps, tables.feet).reach(step, soles[1 - step.foot])
         soles[step.foot], last = step.sole, step.foot
 
 

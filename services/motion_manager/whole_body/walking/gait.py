@@ -19,11 +19,12 @@ from valor.common.arrays import FloatArray
 from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.state import RobotState
 from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, StepSource
+from valor.motion_manager.whole_body.walking.footsteps import Step, StepSource
 from valor.motion_manager.whole_body.walking.recovery import RecoverySteps
 from valor.motion_manager.whole_body.walking.step_guard import StepGuard
 from valor.motion_manager.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import LEFT, RIGHT
 
 AHEAD = 3  # steps planned
 HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]

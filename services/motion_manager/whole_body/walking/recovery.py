@@ -19,9 +19,10 @@ from valor.motion_manager.whole_body.balance.support import (
     sole_corners,
 )
 from valor.motion_manager.whole_body.state import RobotState
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step, beside, side_by_side
+from valor.motion_manager.whole_body.walking.footsteps import Step, beside, side_by_side
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import LEFT
 
 AHEAD = 3  # steps
 

@@ -34,9 +34,10 @@ import numpy as np
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, Step
+from valor.motion_manager.whole_body.walking.footsteps import Step
 from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import LEFT
 
 UNBOUNDED = 1e30  # to the solver
 PEAK = 1.875  # of a minimum-jerk motion's speed to its mean

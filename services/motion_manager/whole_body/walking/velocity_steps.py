@@ -16,9 +16,10 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.walking.footsteps import LEFT, RIGHT, Step, beside, level_pose, side_by_side
+from valor.motion_manager.whole_body.walking.footsteps import Step, beside, level_pose, side_by_side
 from valor.motion_manager.whole_body.walking.ground import GroundPlane
 from valor.motion_manager.whole_body.walking.swing import SolePose
+from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
 
 STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
