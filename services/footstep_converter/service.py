@@ -1,71 +1,26 @@
-"""The loop: goals in, plans out to the Motion Manager, and its words about them back.
-
-At most one plan runs, and at most one request to the Motion Manager is open. A goal that comes while a plan runs
-updates it from the first step that can still be changed, or stops it if it has no steps (vigir_step_control's rules).
-"""
+"""The Footstep Converter as a service: ROS, the Motion Manager and the plan runner between them, and the loop."""
 
 from __future__ import annotations
 
-import logging
 import time
-from collections.abc import Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
+from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 
-import bifrost
-from valor.common.messages import FootstepPlanReply, StepStatus
-from valor.common.topics import FOOTSTEP_PLAN
-from valor.common.transforms import TooNewError, TransformError
-from valor.footstep_converter.clients import Clients, Goal
-from valor.footstep_converter.execution import End, Execution, Outcome, aborted, refusal
+from valor.footstep_converter.clients import Clients
+from valor.footstep_converter.execution import aborted
 from valor.footstep_converter.frames import Frames
 from valor.footstep_converter.motion_system import ANSWER, MotionSystem
-from valor.footstep_converter.plan import TERMS, PlanError, PlannedStep, check_size, convert, frame
-from valor.robot.footsteps import StepRule
+from valor.footstep_converter.runner import PlanRunner
 from valor.service import Context
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]
-FEEDBACK_PERIOD = 0.1  # at most, from one to the next [s]
 LAST_TURNS = 10  # in which the results of the last goals leave
-STOP_RETRY = 0.5  # from a stop that was not answered to the next [s]
-TRANSFORM_PATIENCE = 1.0  # for a transform as new as a plan's stamp [s]
-LATE_WORDS = 3  # about the running plan, on their way when the answer to an update was heard
 
 _F = FootstepExecutionStatus
-_log = logging.getLogger("footstep_converter")
-
-
-@dataclass
-class _Waiting:
-    """A plan whose frame is not known yet for its time."""
-
-    goal: Goal
-    deadline: float  # monotonic [s]
-
-
-@dataclass
-class _Handover:
-    """A plan on its way to the Motion Manager."""
-
-    goal: Goal
-    steps: list[PlannedStep]
-    changeable: int  # of the running plan that it changes, the first step that can be; -1: none runs
-    reply: Future[FootstepPlanReply]
-
-
-@dataclass
-class _Refusal:
-    """A change that was refused; why may be on its way: the step that it was to begin with has begun."""
-
-    handover: _Handover
-    outcome: Outcome
-    heard: int = 0  # words about the running plan since
 
 
 class FootstepConverter:
@@ -74,8 +29,6 @@ class FootstepConverter:
     def __init__(self, context: Context) -> None:
         self._stopping = context.stopping
         self._statistics = context.statistics
-        self._robot = context.robot
-        self._ros_refusal = context.settings.ros_refusal
         self._motion = MotionSystem(context.node)
         self._ros = rclpy.Context()
         rclpy.init(
@@ -86,19 +39,15 @@ class FootstepConverter:
         self._executor = SingleThreadedExecutor(context=self._ros)
         self._node = rclpy.create_node("footstep_converter", context=self._ros, enable_rosout=False)
         self._executor.add_node(self._node)
-        self._frames = Frames(self._node)
-        self._clients = Clients(self._node, self._executor, self._begin, self._cancel)
-
-        self._waiting: _Waiting | None = None
-        self._handover: _Handover | None = None
-        self._refusal: _Refusal | None = None
-        self._goal: Goal | None = None  # whose plan runs
-        self._execution: Execution | None = None
-        self._unclaimed: list[StepStatus] | None = None  # words of a plan handed over, before its acceptance is heard
-        self._stop_goals: list[Goal] = []  # that asked for the running plan's end
-        self._stop: Future[FootstepPlanReply] | None = None  # a stop on its way
-        self._stop_wanted = False
-        self._next_stop = self._next_feedback = 0.0
+        self._plans = PlanRunner(
+            context.robot,
+            self._motion,
+            Frames(self._node),
+            context.statistics,
+            wake=self._executor.wake,
+            refusal=context.settings.ros_refusal,
+        )
+        self._clients = Clients(self._node, self._executor, self._plans.begin, self._plans.cancel)
 
     def run(self) -> None:
         """Serve until told to stop."""
@@ -118,265 +67,19 @@ class FootstepConverter:
         self._ros.try_shutdown()
 
     def _turn(self) -> None:
-        idle = self._execution is None and self._handover is None and self._waiting is None and not self._stop_wanted
-        self._executor.spin_once(timeout_sec=IDLE_PERIOD if idle else ACTIVE_PERIOD)
-        self._look_again()
-        self._follow()
-        self._take_answer()
+        self._executor.spin_once(timeout_sec=IDLE_PERIOD if self._plans.idle else ACTIVE_PERIOD)
+        self._plans.turn()
         self._statistics.drops = self._motion.drops
         self._statistics.idle()
-
-    # --- goals --------------------------------------------------------------------------------------------------
-
-    def _begin(self, goal: Goal) -> None:
-        """A new goal: a plan to hand over, or a stop."""
-        if self._ros_refusal:
-            self._refuse(goal, _not_now(self._ros_refusal))
-        elif goal.cancel_requested:
-            goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "canceled before it was handed over"))
-        elif not goal.plan.steps and self._busy:
-            self._stop_goals.append(goal)
-            self._stop_wanted = True
-            goal.progress(self._execution)
-        else:
-            self._take(goal, time.monotonic() + TRANSFORM_PATIENCE)
-
-    @property
-    def _busy(self) -> bool:
-        """Whether there is a plan to stop."""
-        return self._execution is not None or self._handover is not None or self._waiting is not None
-
-    def _take(self, goal: Goal, deadline: float) -> None:
-        """Convert a goal's plan and hand it over, refuse it, or wait until ``deadline`` for where its frame is."""
-        try:
-            steps = self._convert(goal)
-        except TooNewError as error:
-            if time.monotonic() < deadline:
-                self._waiting = _Waiting(goal, deadline)
-            else:
-                self._refuse(goal, _not_in_odom(f"{error}, and none came within {TRANSFORM_PATIENCE:g} s"))
-        except TransformError as error:
-            self._refuse(goal, _not_in_odom(str(error)))
-        except PlanError as error:
-            self._refuse(goal, error)
-        else:
-            running = self._execution.running_plan.first_changeable if self._execution is not None else -1
-            self._handover = _Handover(goal, steps, running, self._motion.request(steps, self._executor.wake))
-            goal.progress(None)
-
-    def _refuse(self, goal: Goal, error: PlanError) -> None:
-        self._statistics.rejected += 1
-        _log.warning("plan refused: %s", error)
-        goal.end(Outcome(End.ABORTED, error.status, error.error, str(error)))
-
-    def _convert(self, goal: Goal) -> list[PlannedStep]:
-        if self._handover is not None or self._waiting is not None or self._refusal is not None:
-            raise _not_now("another plan is being handed to the Motion Manager; send this one again")
-        if self._execution is not None and (self._execution.stopping or self._stop_wanted):
-            raise _not_now("the running plan is being stopped; send this one again when the robot stands")
-        footsteps = self._robot.tables.footsteps
-        if footsteps is None:
-            text = f"robot {self._robot.name!r} takes no footstep plans: its robot.yaml has no footsteps"
-            raise PlanError(_F.ERR_CONTROLLER_NOT_READY, ErrorStatus.ERR_INVALID_PARAMETERS, text)
-        rule, plan = StepRule(footsteps, self._robot.tables.feet, TERMS), goal.plan
-        check_size(plan, rule)
-        stamp = plan.header.stamp
-        to_odom = self._frames.in_odom(frame(plan), stamp.sec * 10**9 + stamp.nanosec)
-        running = self._execution.running_plan if self._execution is not None else None
-        return convert(plan, rule, running, to_odom)
-
-    def _look_again(self) -> None:
-        """Whether the transform that a plan waits for has come."""
-        waiting, self._waiting = self._waiting, None
-        if waiting is None:
-            return
-        if waiting.goal.cancel_requested or self._stop_wanted:
-            self._stop_wanted = self._execution is not None or self._handover is not None
-            waiting.goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "stopped before it began"))
-            if not self._stop_wanted:
-                self._end_stop_goals(_STOPPED)
-        else:
-            self._take(waiting.goal, waiting.deadline)
-
-    def _cancel(self, goal: Goal) -> None:
-        """A client no longer wants its plan: once it runs, stop it; on its way, stop it when it is accepted."""
-        if goal is self._goal:
-            self._stop_wanted = True
-
-    # --- the Motion Manager's answer ------------------------------------------------------------------------------
-
-    def _take_answer(self) -> None:
-        """The answer to the plan handed over last, if it has come."""
-        handover = self._handover
-        if handover is None or not handover.reply.done():
-            return
-        self._handover = None
-        now = time.monotonic()
-        refused = self._refused(handover.reply)
-        if refused is not None:
-            self._not_taken(handover, refused)
-        elif self._execution is not None:
-            self._update(handover)
-        else:
-            self._motion.watch(True)
-            self._execution = Execution(handover.steps, now)
-            self._goal = handover.goal
-            self._next_feedback = now
-            self._hear(self._execution, self._goal, self._unclaimed or (), now)
-            self._unclaimed = None
-            _log.info("plan of %d steps accepted", len(handover.steps))
-        if self._goal is not None and self._goal.cancel_requested:
-            self._stop_wanted = True
-        if self._execution is None:
-            self._end_stop_goals(_STOPPED)
-
-    def _refused(self, reply: Future[FootstepPlanReply]) -> Outcome | None:
-        """Why the Motion Manager does not execute a plan; None: it does."""
-        try:
-            answer = reply.result()
-        except bifrost.TimeoutError:
-            self._stop_wanted = True  # it may yet act on what we have given up
-            text = f"the Motion Manager did not answer on {FOOTSTEP_PLAN.name} within {ANSWER:g} s; told it to stop"
-            return aborted(_F.ERR_CONTROLLER_NOT_READY, text)
-        except bifrost.NoServerError:
-            text = f"no Motion Manager: nobody serves {FOOTSTEP_PLAN.name}"
-            return aborted(_F.ERR_CONTROLLER_NOT_READY, text)
-        except bifrost.Error as error:
-            return aborted(_F.ERR_UNKNOWN, f"{FOOTSTEP_PLAN.name}: {error}")
-        return None if answer.accepted else refusal(answer.behavior, answer.reason)
-
-    def _not_taken(self, handover: _Handover, refused: Outcome) -> None:
-        if self._execution is not None and handover.changeable >= 0:
-            self._refusal = _Refusal(handover, refused)
-            self._reconsider(self._execution, 0)
-        else:
-            self._end_refused(handover.goal, refused)
-
-    def _reconsider(self, execution: Execution, heard: int) -> None:
-        """A refused change, now that so many words have been heard of the running plan: what comes behind may do."""
-        refusal = self._refusal
-        if refusal is None:
-            return
-        refusal.heard += heard
-        later = execution.running_plan.first_changeable > refusal.handover.changeable
-        if execution.outcome is None and not later and refusal.heard < LATE_WORDS:
-            return
-        self._refusal = None
-        if execution.outcome is None and later:
-            self._take(refusal.handover.goal, time.monotonic())
-        else:
-            self._end_refused(refusal.handover.goal, refusal.outcome)
-
-    def _end_refused(self, goal: Goal, refused: Outcome) -> None:
-        self._statistics.rejected += 1
-        _log.warning("plan not taken: %s", refused.text)
-        goal.end(refused)
-
-    def _update(self, handover: _Handover) -> None:
-        """The Motion Manager took a goal's steps into the running plan: the goal before it has given way."""
-        assert self._execution is not None
-        assert self._goal is not None
-        first = handover.steps[0].index
-        text = f"a newer plan took over from step {first} on"
-        self._goal.end(aborted(_F.UPDATED_STEP_PLAN, text, ErrorStatus.NO_ERROR), self._execution)
-        self._execution.update(handover.steps)
-        self._goal = handover.goal
-        _log.info("plan updated from step %d on", first)
-
-    # --- the running plan ---------------------------------------------------------------------------------------
-
-    def _follow(self) -> None:
-        """What the Motion Manager says of the running plan; feedback; its end."""
-        now = time.monotonic()
-        self._send_stop(now)
-        statuses = self._motion.step_statuses()
-        execution, goal = self._execution, self._goal
-        if execution is None or goal is None:
-            self._keep(statuses)
-            return
-        if (state := self._motion.behavior()) is not None:
-            execution.heard_behavior(state.behavior, state.reason, now, state.time)
-        self._hear(execution, goal, statuses, now)
-        execution.passed(now)
-        self._reconsider(execution, len(statuses))
-        if execution.outcome is not None:
-            self._end(execution, goal, execution.outcome)
-        elif now >= self._next_feedback:
-            self._next_feedback = max(self._next_feedback + FEEDBACK_PERIOD, now)
-            goal.progress(execution)
-
-    def _hear(self, execution: Execution, goal: Goal, statuses: Sequence[StepStatus], now: float) -> None:
-        """Take the Motion Manager's words; of a change the client is told at once, so that it hears of every step."""
-        for status in statuses:
-            told = execution.progress.indices
-            execution.heard_status(status, now)
-            if execution.outcome is None and execution.progress.indices != told:
-                self._next_feedback = now + FEEDBACK_PERIOD
-                goal.progress(execution)
-
-    def _keep(self, statuses: Sequence[StepStatus]) -> None:
-        """Keep what is said of steps begun since a plan of ours was handed over, and none were being taken."""
-        for status in statuses:
-            if status.state != "executing":
-                self._unclaimed = []
-            elif self._unclaimed is not None:
-                self._unclaimed.append(status)
-        if self._handover is None and self._unclaimed:
-            self._unclaimed = None  # somebody else's
-
-    def _end(self, execution: Execution, goal: Goal, outcome: Outcome) -> None:
-        _log.info("plan %s after %d steps: %s", outcome.end.value, len(execution.plan), outcome.text or "goal reached")
-        self._stop_wanted = outcome.unconfirmed  # a plan that we no longer follow must not go on unseen
-        goal.end(outcome, execution)
-        if outcome.end is End.ABORTED:
-            self._end_stop_goals(outcome)
-        else:
-            self._end_stop_goals(_STOPPED)
-        self._execution = self._goal = None
-        self._motion.watch(False)
-
-    def _end_stop_goals(self, outcome: Outcome) -> None:
-        """What was to be stopped has ended."""
-        for goal in self._stop_goals:
-            goal.end(outcome)
-        self._stop_goals = []
-
-    def _send_stop(self, now: float) -> None:
-        """Tell the Motion Manager to stop, until it answers or there is nothing left to stop."""
-        if self._stop is not None and self._stop.done():
-            self._stop_answered(self._stop, now)
-            self._stop = None
-        if self._stop_wanted and self._stop is None and self._handover is None and now >= self._next_stop:
-            self._stop_wanted = False
-            self._stop = self._motion.request([], self._executor.wake)
-            if self._execution is not None:
-                self._execution.stop_asked(now)
-
-    def _stop_answered(self, stop: Future[FootstepPlanReply], now: float) -> None:
-        try:
-            answer = stop.result()
-        except bifrost.Error as error:
-            _log.warning("stop: %s", error)
-            self._stop_wanted = self._execution is not None
-            self._next_stop = now + STOP_RETRY
-            return
-        if answer.accepted:
-            _log.info("the Motion Manager stops")
-        else:
-            _log.warning("the Motion Manager does not stop: %s", answer.reason)
-            if self._execution is not None:
-                self._execution.stop_refused()
 
     def _wind_up(self) -> None:
         """Told to stop in mid-plan: nobody would follow it, so it stops too, and its client hears why."""
         goals = self._clients.open_goals
-        if not goals and self._goal is None and self._handover is None:
+        if not goals and not self._plans.running:
             return
-        stop = self._motion.request([], self._executor.wake)
         text = "the footstep converter is stopping; the plan was told to stop"
         outcome = aborted(_F.PREMATURE_HALT | _F.ERR_CONTROLLER_NOT_READY, text)
-        if self._goal is not None:
-            self._goal.end(outcome, self._execution)
+        stop = self._plans.abandon(outcome)
         for goal in goals:
             goal.end(outcome)
         deadline = time.monotonic() + ANSWER
@@ -384,16 +87,3 @@ class FootstepConverter:
             self._executor.spin_once(timeout_sec=ACTIVE_PERIOD)
         for _ in range(LAST_TURNS):
             self._executor.spin_once(timeout_sec=ACTIVE_PERIOD)
-
-
-_STOPPED = Outcome(End.SUCCEEDED, _F.PREMATURE_HALT, ErrorStatus.NO_ERROR, "the running plan has ended")
-
-
-def _not_now(text: str) -> PlanError:
-    return PlanError(_F.ERR_CONTROLLER_NOT_READY, ErrorStatus.ERR_INCONSISTENT_REQUEST, text)
-
-
-def _not_in_odom(text: str) -> PlanError:
-    return PlanError(
-        _F.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INVALID_PARAMETERS, f"the plan cannot be put in odom: {text}"
-    )
