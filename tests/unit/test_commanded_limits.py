@@ -7,18 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.conftest import ROBOTS, examples
-from tests.unit.vrc_in_process import PERIOD, System
+from harness.examples import examples
+from harness.places import ROBOTS
+from harness.vrc_in_process import PERIOD, System
 from valor.common.arrays import FloatArray
 from valor.motion_manager.limiter import Limiter
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable, Settings
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
-    JointTrajectoryController,
-    Outcome,
-    TrajectoryRequest,
-)
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
@@ -42,7 +40,7 @@ class Client:
     def finish(self, outcome: Outcome) -> None:
         self.outcome = outcome
 
-    def feedback(self, controller: object, hw: object) -> None: ...
+    def feedback(self, hw: object) -> None: ...
 
 
 def lead(controller: JointTrajectoryController, joint: int, speed: float, seconds: float) -> Client:

@@ -20,12 +20,8 @@ from valor.common.behaviors import Behavior, Locomotion
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
 from valor.robot.commanded_limits import PELVIS_NAMES
 from valor.valor_ros_controller.controller_switch import Strictness
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
-    MOVED,
-    JointTrajectoryController,
-    Outcome,
-    TrajectoryRequest,
-)
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import MOVED
+from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.errors import InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP
@@ -42,7 +38,7 @@ class Goal:
 
     def finish(self, outcome: Outcome) -> None: ...
 
-    def feedback(self, controller: JointTrajectoryController, hw: Any) -> None: ...
+    def feedback(self, hw: Any) -> None: ...
 
 
 class Watched(System):

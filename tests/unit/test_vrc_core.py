@@ -183,7 +183,7 @@ def test_the_pelvis_velocity_is_how_fast_the_pelvis_moves_in_robot_time(system: 
         changes = {"time": time, "pelvis_in_support": rate * period * 0.002}
         content = {name: getattr(newest, name) for name in MotionState.__struct_fields__} | changes
         interface._motion_state.publish(MotionState(**content))  # type: ignore[attr-defined]
-        interface._listen(system.clock)
+        interface.listen()
     np.testing.assert_allclose(hw.velocity[hw.pelvis :], rate, rtol=0.02)
     np.testing.assert_allclose(hw.position[hw.pelvis :], rate * 399 * 0.002)
 

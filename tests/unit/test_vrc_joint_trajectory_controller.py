@@ -12,11 +12,8 @@ from harness.places import ROBOTS
 from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
-    JointTrajectoryController,
-    Outcome,
-    TrajectoryRequest,
-)
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -47,7 +44,7 @@ class Client:
         assert self.outcome is None, "finished twice"
         self.outcome = outcome
 
-    def feedback(self, controller, hw) -> None:
+    def feedback(self, hw) -> None:
         self.feedbacks.append(hw.time)
 
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from valor.common.behaviors import EMERGENCY_STOP, ControlMode, requester
+from valor.common.behaviors import ControlMode, requester
 from valor.common.messages import ModeStatus
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.controllers.mode_requests import ModeRefusedError, Target, admit, first_stop
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("control_mode_controller")
@@ -67,10 +67,9 @@ class _Change:
     """A change under way."""
 
     requested: str
-    target: str
+    target: Target
     client: ModeClient | None
     transition: BehaviorTransition
-    other_stops: tuple[str, ...] = ()  # of an emergency: what to ask for if this is refused
 
 
 class ControlModeController:
@@ -132,7 +131,7 @@ class ControlModeController:
             if not self._change and motion.behavior != self._followed:
                 self._follow()
             elif again := self._take_again():
-                self._begin(again, again, None)
+                self._begin(again, Target(again), None)
         if self.reports != reports:
             return  # each report is seen for a cycle, that of an external change above all
         while self._requests:
@@ -186,21 +185,22 @@ class ControlModeController:
         behavior, before = self._motion.behavior, self._followed
         self._followed = behavior
         if transition.state is TransitionState.DONE:
-            _log.info("control mode %s -> %s", self.current, change.target)
-            self.active_mode = change.target
-            self._finish(_S.MODE_ACCEPTED, "", current=change.target)
+            _log.info("control mode %s -> %s", self.current, change.target.mode)
+            self.active_mode = change.target.mode
+            self._finish(_S.MODE_ACCEPTED, "", current=change.target.mode)
             return
         # A mode that stands for no behavior is left only when the behavior changes.
         if behavior == before or self._table.fits(self.current, behavior):
             actual = self.current
         else:
             actual = self._table.behaviors.get(behavior, ControlMode.NONE)
-        if not (transition.silent or transition.diverted) and (stop := self._stop_from(actual, change.other_stops)):
+        stop = first_stop(self._table, actual, change.target.other_stops)
+        if stop and not (transition.silent or transition.diverted):
             # The mode was another than it seemed when the emergency stop was asked for.
             self._note_refusal(change.requested, transition.reason)
             self._change = None
-            self._set(ModeReport(stop, actual, _S.MODE_PROCESSING))
-            self._begin(change.requested, stop, change.client, others=_without(change.other_stops, stop))
+            self._set(ModeReport(stop.mode, actual, _S.MODE_PROCESSING))
+            self._begin(change.requested, stop, change.client)
             return
         status = _S.MODE_REJECTED
         if transition.silent:
@@ -216,86 +216,52 @@ class ControlModeController:
 
     def _consider(self, requested: str, client: ModeClient | None) -> None:
         """Begin what is asked for, or refuse it."""
-        if self._refusal:
-            self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, self._refusal)
-            return
-        target = requested.strip().lower()
-        modes = self._table.modes
-        current = self.current
-        if not self._motion.behavior:
-            waiting = self._motion.silent or "the Motion System"
-            self._refuse(requested, client, _S.ERR_CONTROLLER_NOT_READY, f"{waiting} is silent")
-            return
-        others: tuple[str, ...] = ()
-        if target == EMERGENCY_STOP:
-            target = self._stop_from(current, self._table.emergency_stop)
-            if not target:
-                reason = f"no mode to stop in may follow {current}; the joints are not under control"
-                self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, reason)
-                return
-            others = _without(self._table.emergency_stop, target)
-        if target not in modes:
-            reason = f"no such mode; expected one of {', '.join(modes)}"
-            self._refuse(requested, client, _S.ERR_INVALID_BEHAVIOR_MODE, reason)
-            return
         change = self._change
-        if change and not (modes[target].preempts and change.target != target):
-            reason = f"the change to {change.target} is under way"
-            self._refuse(requested, client, _S.ERR_PRIOR_COMMAND_IN_PROGRESS, reason)
+        try:
+            if self._refusal:
+                raise ModeRefusedError(_S.ERR_INVALID_TRANSITION, self._refusal)
+            if not self._motion.behavior:
+                waiting = self._motion.silent or "the Motion System"
+                raise ModeRefusedError(_S.ERR_CONTROLLER_NOT_READY, f"{waiting} is silent")
+            target = admit(self._table, requested, self.current, change.target.mode if change else "")
+        except ModeRefusedError as refused:
+            self._refuse(requested, client, refused.error, str(refused))
             return
-        if not change and target == current:
-            report = ModeReport(target, current, _S.MODE_ACCEPTED | _S.MODE_DUPLICATE)
+        if not change and target.mode == self.current:
+            report = ModeReport(target.mode, self.current, _S.MODE_ACCEPTED | _S.MODE_DUPLICATE)
             self._set(report)
             if client:
                 client.finish(report)
             return
-        # Of a change under way nobody knows how far it is.
-        allowed = modes[current].to | (modes[change.target].to | {current} if change else frozenset())
-        if target not in allowed:
-            reason = f"not allowed from {current}; from there: {', '.join(sorted(modes[current].to))}"
-            self._refuse(requested, client, _S.ERR_INVALID_TRANSITION, reason)
-            return
         if change:
-            self._finish(_S.MODE_PREEMPTED, f"preempted by {target}")
-        self._begin(requested, target, client, others=others, under_way=change is not None)
+            self._finish(_S.MODE_PREEMPTED, f"preempted by {target.mode}")
+        self._begin(requested, target, client, under_way=change is not None)
 
-    def _stop_from(self, mode: str, stops: Sequence[str]) -> str:
-        """The first of these modes that a mode may be stopped in; empty: none."""
-        return next((stop for stop in stops if stop == mode or stop in self._table.modes[mode].to), "")
-
-    def _begin(
-        self,
-        requested: str,
-        target: str,
-        client: ModeClient | None,
-        *,
-        others: tuple[str, ...] = (),
-        under_way: bool = False,
-    ) -> None:
+    def _begin(self, requested: str, target: Target, client: ModeClient | None, *, under_way: bool = False) -> None:
         """Ask the Motion System for what a mode stands for.
 
         Args:
             requested: as asked.
             target: the mode.
             client: who asked.
-            others: modes to stop in, if the Motion System refuses this one.
             under_way: another change was, so that the Motion System may be about to be elsewhere.
         """
-        mode = self._table.modes[target]
+        name = target.mode
+        mode = self._table.modes[name]
         if mode.switch == "hard_reset":
             self.hard_resets += 1
         if not mode.motion or (mode.motion[1] == self._motion.behavior and not under_way):
             # Nothing to ask for: the mode keeps the behavior, or differs in its controllers alone.
-            self.active_mode = target
-            report = ModeReport(target, target, _S.MODE_ACCEPTED)
+            self.active_mode = name
+            report = ModeReport(name, name, _S.MODE_ACCEPTED)
             self._set(report)
             if client:
                 client.finish(report)
             return
         if mode.switch != "on_feedback":
-            self.active_mode = target
-        report = ModeReport(target, self.current, _S.MODE_PROCESSING)
-        self._change = _Change(requested, target, client, self._motion.begin_transition(mode.motion), others)
+            self.active_mode = name
+        report = ModeReport(name, self.current, _S.MODE_PROCESSING)
+        self._change = _Change(requested, target, client, self._motion.begin_transition(mode.motion))
         self._set(report)
         if client:
             client.processing(report)
@@ -305,7 +271,7 @@ class ControlModeController:
         change = self._change
         assert change is not None
         self._change = None
-        report = ModeReport(change.target, current or self.current, status)
+        report = ModeReport(change.target.mode, current or self.current, status)
         if not status & _S.MODE_ACCEPTED:
             self._note_refusal(change.requested, reason)
         self._set(report)
@@ -330,7 +296,3 @@ class ControlModeController:
     def _set(self, report: ModeReport) -> None:
         self.report = report
         self.reports += 1
-
-
-def _without(modes: Sequence[str], mode: str) -> tuple[str, ...]:
-    return tuple(other for other in modes if other != mode)

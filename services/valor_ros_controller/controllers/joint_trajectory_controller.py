@@ -13,53 +13,20 @@ import logging
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
+from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.tolerances import Tolerances
-from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("joint_trajectory_controller")
 
 MOVED = 0.02
 """A controller that waited goes on only if the Motion System moved none of its joints farther than this [rad or m]."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a goal."""
-
-    code: ErrorCode
-    text: str
-    canceled: bool = False
-
-
-class Goal(Protocol):
-    """Somebody who waits for a trajectory to end."""
-
-    def finish(self, outcome: Outcome) -> None:
-        """It has ended."""
-
-    def feedback(self, controller: JointTrajectoryController, hw: ValorEscherHWInterface) -> None:
-        """It goes on."""
-
-
-@dataclass(frozen=True)
-class TrajectoryRequest:
-    """A checked trajectory; ``goal`` is ``None`` where nobody waits for its end."""
-
-    waypoints: Waypoints
-    start: int  # robot time [ns]; 0: when it is taken up
-    path: Tolerances
-    goal_tolerance: Tolerances
-    goal_time: float  # [s]; 0: however late
-    goal: Goal | None
 
 
 @dataclass(frozen=True)
@@ -282,25 +249,14 @@ class JointTrajectoryController:
         """Compare with the measured state: tolerances on the way and at the end."""
         position_error = self.position - hw.position[self.joints]
         velocity_error = self.velocity - hw.velocity[self.joints]
-        if hw.time < self._trajectory.end:
-            if violation := request.path.violation(self.limits, position_error, velocity_error):
+        late = (hw.time - self._trajectory.end) * 1e-9
+        if outcome := request.judge(self.limits, late, position_error, velocity_error):
+            if outcome.code is ErrorCode.PATH_TOLERANCE_VIOLATED:
                 self._come_to_rest(hw)
-                text = f"Aborted due to path tolerance violation: {violation}"
-                self._end(Outcome(ErrorCode.PATH_TOLERANCE_VIOLATED, text))
-                return
-        else:
-            violation = request.goal_tolerance.violation(self.limits, position_error, velocity_error)
-            late = (hw.time - self._trajectory.end) * 1e-9
-            if not violation:
-                self._end(Outcome(ErrorCode.SUCCESSFUL, "Goal successfully reached!"))
-                return
-            if request.goal_time and late > request.goal_time:
-                text = f"Aborted due to goal_time_tolerance exceeding by {late:g} seconds: {violation}"
-                self._end(Outcome(ErrorCode.GOAL_TOLERANCE_VIOLATED, text))
-                return
-        if hw.time >= self._next_feedback and request.goal:
+            self._end(outcome)
+        elif hw.time >= self._next_feedback and request.goal:
             self._next_feedback = hw.time + round(1e9 / self.settings.action_monitor_rate)
-            request.goal.feedback(self, hw)
+            request.goal.feedback(hw)
 
     def _come_to_rest(self, hw: ValorEscherHWInterface) -> None:
         """From the motion commanded now: decelerate, or stand still at once; then hold."""

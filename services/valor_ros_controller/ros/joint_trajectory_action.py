@@ -15,13 +15,8 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import (
-    Goal,
-    JointTrajectoryController,
-    Outcome,
-    QueriedState,
-    TrajectoryRequest,
-)
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController, QueriedState
+from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest
 from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
@@ -65,7 +60,7 @@ class _TrajectoryGoal:
         self._face.forget(self._handle)
         self._face.server.finish(self._handle, state, result)
 
-    def feedback(self, controller: JointTrajectoryController, hw: ValorEscherHWInterface) -> None:
+    def feedback(self, hw: ValorEscherHWInterface) -> None:
         self._handle.publish_feedback(self._face.feedback(hw))
 
 

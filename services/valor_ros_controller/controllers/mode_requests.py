@@ -1,0 +1,66 @@
+"""Which control modes may be asked for, from where (thesis figure 4.3): a rule without memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from valor.common.behaviors import EMERGENCY_STOP
+from valor.common.messages import ModeStatus
+from valor.valor_ros_controller.control_modes import ControlModeTable
+
+
+class ModeRefusedError(ValueError):
+    """A request that is not followed: its text says why, ``error`` as ``ControlModeStatus`` has it."""
+
+    def __init__(self, error: ModeStatus, text: str) -> None:
+        super().__init__(text)
+        self.error = error
+
+
+@dataclass(frozen=True)
+class Target:
+    """The mode that a request leads to; of an emergency, what else to ask for if the Motion System refuses it."""
+
+    mode: str
+    other_stops: tuple[str, ...] = ()
+
+
+def first_stop(table: ControlModeTable, current: str, stops: Sequence[str]) -> Target | None:
+    """The first of these modes that a mode may be stopped in; None: there is none."""
+    may = table.modes[current].to
+    mode = next((stop for stop in stops if stop == current or stop in may), None)
+    return None if mode is None else Target(mode, tuple(stop for stop in stops if stop != mode))
+
+
+def admit(table: ControlModeTable, requested: str, current: str, under_way: str) -> Target:
+    """Where a request leads.
+
+    Args:
+        table: of control modes.
+        requested: a mode by name, in any case, or an emergency stop.
+        current: the mode that the robot is in.
+        under_way: the mode that a change under way leads to; empty: none is.
+
+    Raises:
+        ModeRefusedError: nowhere.
+    """
+    modes, target = table.modes, Target(requested.strip().lower())
+    if target.mode == EMERGENCY_STOP:
+        stop = first_stop(table, current, table.emergency_stop)
+        if stop is None:
+            reason = f"no mode to stop in may follow {current}; the joints are not under control"
+            raise ModeRefusedError(ModeStatus.ERR_INVALID_TRANSITION, reason)
+        target = stop
+    name = target.mode
+    if name not in modes:
+        reason = f"no such mode; expected one of {', '.join(modes)}"
+        raise ModeRefusedError(ModeStatus.ERR_INVALID_BEHAVIOR_MODE, reason)
+    if under_way and not (modes[name].preempts and under_way != name):
+        raise ModeRefusedError(ModeStatus.ERR_PRIOR_COMMAND_IN_PROGRESS, f"the change to {under_way} is under way")
+    # Of a change under way nobody knows how far it is.
+    allowed = modes[current].to | (modes[under_way].to if under_way else frozenset()) | {current}
+    if name not in allowed:
+        reason = f"not allowed from {current}; from there: {', '.join(sorted(modes[current].to))}"
+        raise ModeRefusedError(ModeStatus.ERR_INVALID_TRANSITION, reason)
+    return target
