@@ -37,7 +37,7 @@ class Sole(Protocol):
 SoleT = TypeVar("SoleT", bound=Sole)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # no slots: with them `Step[SolePose](…)` fails
 class Step(Generic[SoleT]):
     """One step."""
 
