@@ -8,6 +8,7 @@ import pytest
 
 from valor.common.errors import ValorError
 from valor.common.resources import robot_folder
+from valor.robot.commanded_limits import VELOCITY_FACTOR
 from valor.robot.description import RobotDescription
 from valor.valorctl.arm_motion import SIDES, Limb, preset, trajectory_duration
 from valor.valorctl.health import SILENCE, START_GRACE, Word, judge
@@ -89,7 +90,7 @@ def test_no_joint_exceeds_its_share_of_the_speed_limit(escher: RobotDescription)
     start = dict.fromkeys(joints, 0.0)
     goal = start | {joints[2]: 1.5, joints[4]: -0.2}
     duration = trajectory_duration(escher, start, goal, speed=0.5)
-    limit = escher.tables.joints[joints[2]].velocity
+    limit = VELOCITY_FACTOR * escher.tables.joints[joints[2]].velocity
     # The quintic 10s³ − 15s⁴ + 6s⁵ is steepest in its middle.
     middle = 30 * 0.5**2 - 60 * 0.5**3 + 30 * 0.5**4
     assert 1.5 / duration * middle == pytest.approx(0.5 * limit)

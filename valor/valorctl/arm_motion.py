@@ -12,6 +12,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
+from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 
 Side = Literal["left", "right"]
@@ -62,10 +63,11 @@ def trajectory_duration(
     robot: RobotDescription, start: Mapping[str, float], goal: Mapping[str, float], speed: float
 ) -> float:
     """How long a quintic from rest to rest must take so that no joint exceeds ``speed`` times its limit [s]."""
+    limits = CommandedLimits.of_joints(robot)
     slowest = max(
-        abs(goal[name] - start[name]) * _QUINTIC_PEAK / (speed * robot.tables.joints[name].velocity) for name in goal
+        abs(goal[name] - start[name]) * _QUINTIC_PEAK / (speed * limits.velocity[robot.index[name]]) for name in goal
     )
-    return max(SHORTEST, slowest)
+    return max(SHORTEST, float(slowest))
 
 
 def move_limb(
