@@ -75,6 +75,7 @@ class JointTrajectoryController:
         self.limits = hw.limits(self.joints)
         n = len(self.joints)
         self.settings = Settings.of(config, n)
+        self._path = self.settings.path.position  # who asks for a tighter one may try
         self.position, self.velocity, self.acceleration = np.zeros(n), np.zeros(n), np.zeros(n)
         self.active = False
         self.writing = False
@@ -236,7 +237,7 @@ class JointTrajectoryController:
                 hw.time,
                 (self.position, self.velocity, self.acceleration),
                 self.limits,
-                error=np.maximum(self.settings.path.position, request.path.position),
+                error=np.maximum(self._path, request.path.position),
             )
         except InvalidTrajectoryError as error:
             self.refuse(request.goal, error)
