@@ -80,21 +80,31 @@ def processes() -> str:
 
 
 def topics() -> str:
-    """The table of Bifrost topics."""
+    """The table of Bifrost topics; those that differ in one part of their names alone are one row."""
+    alike: dict[tuple[Any, ...], list[Topic[Any]]] = {}
+    for each in TOPICS:
+        alike.setdefault((each.type, each.rate, each.record_every, each.latched, each.description), []).append(each)
     return _table(
         ("topic", "type", "published by", "rate [Hz]", "recorded", ""),
         (
             (
-                f"`{each.name}`",
-                f"`{each.type.__name__}`",
-                _names(each.publishers),
-                _rate(each),
-                {0: "no", 1: "all"}.get(each.record_every, f"1 of {each.record_every}"),
-                each.description + ("; latched" if each.latched else ""),
+                f"`{_common_name(family)}`",
+                f"`{first.type.__name__}`",
+                _names(tuple(dict.fromkeys(name for each in family for name in each.publishers))),
+                _rate(first),
+                {0: "no", 1: "all"}.get(first.record_every, f"1 of {first.record_every}"),
+                first.description + ("; latched" if first.latched else ""),
             )
-            for each in TOPICS
+            for family in alike.values()
+            for first in family[:1]
         ),
     )
+
+
+def _common_name(family: Sequence[Topic[Any]]) -> str:
+    """``a/{b,c}/d`` of ``a/b/d`` and ``a/c/d``."""
+    parts = (dict.fromkeys(part) for part in zip(*(each.name.split("/") for each in family), strict=True))
+    return "/".join(next(iter(part)) if len(part) == 1 else f"{{{','.join(part)}}}" for part in parts)
 
 
 def services() -> str:
