@@ -9,7 +9,7 @@ import numpy as np
 
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Proprioceptor
-from valor.device_emulators.serial_imu import SerialImuEmulator
+from valor.device_emulators.serial_sensor import SerialSensorEmulator
 from valor.devices.kvh import HEADER, MESSAGE, RATES, STANDARD_GRAVITY, Kvh1750
 from valor.robot.description import RobotDescription
 
@@ -92,7 +92,7 @@ class KvhSensor:
         return [body + crc32(body).to_bytes(4, "big")]
 
 
-class KvhEmulator(SerialImuEmulator):
+class KvhEmulator(SerialSensorEmulator):
     """One sensor."""
 
     def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:

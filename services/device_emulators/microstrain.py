@@ -5,12 +5,12 @@ from __future__ import annotations
 from valor.common.instance import Instance, Settings
 from valor.device_emulators.emulator import EmulatedFault
 from valor.device_emulators.mip_sensor import MipSensor
-from valor.device_emulators.serial_imu import KINDS, SerialImuEmulator
+from valor.device_emulators.serial_sensor import KINDS, SerialSensorEmulator
 from valor.devices.mip import MicroStrainMip
 from valor.robot.description import RobotDescription
 
 
-class MicroStrainEmulator(SerialImuEmulator):
+class MicroStrainEmulator(SerialSensorEmulator):
     """One sensor."""
 
     def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:

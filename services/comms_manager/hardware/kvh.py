@@ -16,7 +16,7 @@ from valor.common.poses import Vector
 from valor.comms_manager.hardware.attitude_filter import AttitudeFilter
 from valor.comms_manager.hardware.condition import Condition, Limits, require_identity
 from valor.comms_manager.hardware.device import Ailment, DeviceContext, DeviceError, Fault, ImuMeasurement
-from valor.comms_manager.hardware.serial_imu import ANSWER_TIME, NoAnswerError, SerialImu
+from valor.comms_manager.hardware.serial_sensor import ANSWER_TIME, NoAnswerError, SerialSensor
 from valor.devices.frame_stream import FrameStream
 from valor.devices.kvh import (
     CRC_POLYNOMIAL,
@@ -37,7 +37,7 @@ GRACE = 0.15  # without an attitude, as it finds it anew, until that is told [s]
 _ATTITUDE_WITHIN = 5.0  # at start, while it is at rest [s]
 
 
-class Kvh(SerialImu):
+class Kvh(SerialSensor):
     """One sensor, alone on its port."""
 
     first_sample = _ATTITUDE_WITHIN
@@ -68,6 +68,10 @@ class Kvh(SerialImu):
         assert self._port is not None
         self._port.write(b"=CONFIG,0\n")  # which it does not answer
         self._filter.reset()
+
+    @property
+    def _is_known(self) -> bool:
+        return self.attitude is not None
 
     @property
     def _farewell(self) -> bytes:

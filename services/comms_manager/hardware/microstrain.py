@@ -16,7 +16,7 @@ import numpy as np
 from valor.comms_manager.hardware.condition import require_identity
 from valor.comms_manager.hardware.device import Ailment, DeviceContext, DeviceError, Fault, ImuMeasurement
 from valor.comms_manager.hardware.mip import Packet, PacketStream, encode
-from valor.comms_manager.hardware.serial_imu import ANSWER_TIME, NoAnswerError, SerialImu
+from valor.comms_manager.hardware.serial_sensor import ANSWER_TIME, NoAnswerError, SerialSensor
 from valor.devices.mip import (
     DATA_FIELDS,
     DEVICE_INFORMATION,
@@ -47,7 +47,7 @@ _HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x, of a vector
 _HALF_TURN_BOTH = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion w, x, y, z, on both sides
 
 
-class MicroStrain(SerialImu):
+class MicroStrain(SerialSensor):
     """One sensor, alone on its port."""
 
     def __init__(self, name: str, context: DeviceContext) -> None:

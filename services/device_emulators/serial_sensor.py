@@ -1,4 +1,4 @@
-"""An inertial measurement unit at the far end of its serial port, whatever it says on it."""
+"""A sensor at the far end of its serial port, whatever it says on it."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class Sensor(Protocol):
         """Whether ``stream`` would give anything at ``now`` [s]."""
 
     def feel(self, measured: Proprioceptor, hot: bool) -> None:
-        """What the robot's IMU feels is what it feels; whether it is too hot."""
+        """What the robot's sensors say is what it feels; and whether it is too hot."""
 
     def stream(self, now: float) -> list[bytes]:
         """The messages that are due at ``now`` [s]."""
 
 
-class SerialImuEmulator(Emulator):
+class SerialSensorEmulator(Emulator):
     """One sensor; unplugged, its port is gone, and it forgets what it was told."""
 
     def __init__(

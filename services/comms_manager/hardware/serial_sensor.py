@@ -1,4 +1,4 @@
-"""Inertial measurement units that stream over a serial port of their own, whatever they say on it."""
+"""Sensors that stream over a serial port of their own, whatever they measure and however they say it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from valor.devices.ports import serial_port
 
 ANSWER_TIME = 0.1  # of a command [s]
 TRIES = 10  # of a command, at start
-FIRST_SAMPLE = 1.0  # within which one must come [s]
+FIRST_SAMPLE = 1.0  # within which one must come, unless a protocol says otherwise [s]
 LATEST = 0.02  # a sample that is held up longer is not used [s]
 RETRY_PERIOD = 0.5  # between attempts to find a sensor that is gone [s]
 STREAM_LOST = 1.0  # without a sample, after which it is asked to stream again [s]
@@ -31,8 +31,12 @@ class NoAnswerError(DeviceError):
     """The sensor does not answer a command."""
 
 
-class SerialImu(Device):
-    """A sensor alone on its port: asked who it is and to stream, listened to, and looked for when it is gone."""
+class SerialSensor(Device):
+    """A sensor alone on its port: asked who it is and to stream, listened to, and looked for when it is gone.
+
+    Attributes:
+        first_sample: within which what it provides must be known at start [s].
+    """
 
     first_sample = FIRST_SAMPLE
 
@@ -75,6 +79,11 @@ class SerialImu(Device):
     def _farewell(self) -> bytes:
         """What has it be quiet."""
 
+    @property
+    def _is_known(self) -> bool:
+        """Whether a sample has said what it provides."""
+        return self._record.states > 0
+
     def _lateness(self, device_time: float, stamp: int) -> float | None:
         """How late a sample is of a time by the sensor's clock, that came at ``stamp`` [s, monotonic ns].
 
@@ -89,7 +98,7 @@ class SerialImu(Device):
         """Check who it is, have it stream, and get a first sample."""
         self._connect(TRIES)
         deadline = time.monotonic() + self.first_sample
-        while self.attitude is None:
+        while not self._is_known:
             if time.monotonic() > deadline:
                 raise DeviceError(
                     f"{self.name}: it says who it is, but no sound sample came; expected {self._wanted()}"
