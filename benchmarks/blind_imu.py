@@ -1,7 +1,7 @@
 """How long the robot bears a computer that does not read its IMU: attitude and angular rate stand still meanwhile.
 
 ``python benchmarks/blind_imu.py``: standing and walking at 0.3 m/s, three seeds each, three pauses a run. The plant is
-profile ``hardware``. ``services/comms_manager/hardware/faults.py`` takes its limit from here.
+profile ``hardware``. ``services/comms_manager/hardware/watch.py`` takes its limit from here.
 """
 
 from __future__ import annotations

@@ -86,7 +86,13 @@ def test_it_does_not_align_while_it_moves_nor_keeps_what_it_did_not_see() -> Non
     run(attitude, 1.0, (2.0 * REST_RATE, 0.0, 0.0), (0.0, 0.0, GRAVITY))
     run(attitude, 1.0, STILL, (0.0, 0.0, 1.2 * GRAVITY))
     assert attitude.orientation is None
+    sway = [0.8 * math.sin(2.0 * math.pi * PERIOD * k) for k in range(500)]  # of a robot that walks [m/s²]
+    for across in sway:
+        attitude.update(STILL, (0.0, across, GRAVITY), PERIOD)
+        assert attitude.orientation is None
     attitude = aligned(roll=0.3)
+    attitude.update(STILL, force(tilted(0.3, 0.0)), 1.5 * LONGEST_GAP)
+    assert attitude.orientation is not None, "by gravity nothing has happened"
     attitude.update(STILL, (0.0, 0.0, GRAVITY), 1.5 * LONGEST_GAP)
     assert attitude.orientation is None, "it may have been turned meanwhile"
     run(attitude, ALIGNMENT + 2 * PERIOD, STILL, (0.0, 0.0, GRAVITY))

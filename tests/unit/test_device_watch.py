@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from threading import Event
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,9 +19,9 @@ from valor.common.behaviors import Behavior
 from valor.common.instance import Instance, Settings
 from valor.common.messages import DeviceStatus
 from valor.comms_manager.hardware.condition import level as _level
-from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, Part, UnitRecord
+from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, ImuMeasurement, Part, UnitRecord
 from valor.comms_manager.hardware.faults import REACTIONS, Reaction
-from valor.comms_manager.hardware.watch import LOOKS_TO_SILENCE, UNREAD_AFTER, DeviceWatch
+from valor.comms_manager.hardware.watch import DISAGREEMENT, LOOKS_TO_SILENCE, UNREAD_AFTER, DeviceWatch
 from valor.devices.kvh import Kvh1750
 from valor.motion_manager.safety.device_reactions import DEMANDS, DeviceReactions
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -321,3 +324,25 @@ def test_a_computer_that_does_not_listen_changes_no_leader() -> None:
     imus.run(1.0)
     report = imus.run(UNREAD_AFTER + 0.01, deaf=True)
     assert imus.watch.leader is imus.imu and report.reaction == "hold"
+
+
+def test_an_imu_whose_tilt_is_another_one_does_not_take_over() -> None:
+    imus = Imus()
+
+    def tilted(angle: float) -> ImuMeasurement:
+        stamp = time.monotonic_ns() + 60_000_000_000  # fresh, however long this computer takes
+        orientation = np.array([math.cos(0.5 * angle), math.sin(0.5 * angle), 0.0, 0.0])
+        return ImuMeasurement(stamp, orientation, np.zeros(3), np.zeros(3))
+
+    imus.imu.attitude, imus.kvh.attitude = tilted(0.1), tilted(0.1 + 0.9 * DISAGREEMENT)
+    assert imus.run(1.0).states == ["ok", "ok"]
+    imus.kvh.attitude = tilted(0.1 + 1.2 * DISAGREEMENT)
+    report = imus.run(0.15)
+    assert (report.reaction, report.states) == ("keep_balance", ["ok", "faulty"])
+    assert report.details[1] == "its tilt is 0.06 rad off that of imu; expected up to 0.05 rad (imu leads)"
+    report = imus.run(0.2, mute=[imus.imu])
+    assert imus.watch.leader is imus.imu and report.reaction == "hold"
+    imus.kvh.attitude = tilted(0.1)
+    assert imus.run(0.15).states == ["ok", "ok"]
+    imus.run(0.2, mute=[imus.imu])
+    assert imus.watch.leader is imus.kvh

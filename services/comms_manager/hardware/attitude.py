@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor.common.poses import Quaternion, about_z, multiply
+from valor.common.poses import Quaternion, about_z, multiply, rotate
 from valor.comms_manager.hardware.device import Device, ImuMeasurement
 
 FRESH = 20_000_000  # younger, two samples are of one time [ns]
@@ -49,6 +49,15 @@ class AttitudeSource:
             other = unit.attitude
             if unit is not leader and other is not None and now - other.stamp < FRESH:
                 self._turns[place] = _heading(_quaternion(sample), _quaternion(other))
+
+
+def tilt_between(a: ImuMeasurement, b: ImuMeasurement) -> float:
+    """The angle between where two units have the vertical [rad]."""
+    ups = []
+    for sample in (a, b):
+        w, x, y, z = _quaternion(sample)
+        ups.append(rotate((w, -x, -y, -z), (0.0, 0.0, 1.0)))
+    return math.acos(max(-1.0, min(1.0, sum(p * q for p, q in zip(*ups, strict=True)))))
 
 
 def _quaternion(sample: ImuMeasurement) -> Quaternion:

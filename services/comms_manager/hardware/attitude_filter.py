@@ -16,9 +16,12 @@ from valor.common.poses import Quaternion, Vector, multiply, rotate
 
 GRAVITY = 9.80665  # [m/s²]
 TIME_CONSTANT = 10.0  # 1/k_P, in which a wrong tilt goes back to the accelerometers' by a factor of e [s]
-ALIGNMENT = 0.1  # at rest, from which the first attitude is taken [s]
+# At rest, from which the first attitude is taken: a robot that walks is never as still for so long [s].
+ALIGNMENT = 0.5
 LONGEST_GAP = 0.05  # between samples: what happens in between is the last rate's guess [s]
-REST_RATE, REST_FORCE = 0.1, 0.5  # a sensor at rest turns less, and its specific force is nearer to g [rad/s, m/s²]
+REST_RATE = 0.1  # a sensor at rest turns less [rad/s]
+STEADY, REST_FORCE = 0.3, 0.5  # its specific force stays as near to its mean, and that is as near to g [m/s²]
+AGREEMENT = 0.03  # with the tilt by gravity, by which after a gap nothing is taken to have happened [rad]
 
 
 class AttitudeFilter:
@@ -31,7 +34,8 @@ class AttitudeFilter:
     def __init__(self) -> None:
         self.orientation: Quaternion | None = None
         self._rested = 0.0  # [s]
-        self._sum = [0.0, 0.0, 0.0]
+        self._samples = 0
+        self._mean: Vector = (0.0, 0.0, 0.0)  # of the specific force meanwhile [m/s²]
 
     def reset(self) -> None:
         """Begin anew: nobody knows how the sensor was turned meanwhile."""
@@ -45,22 +49,34 @@ class AttitudeFilter:
             force: specific force in the sensor [m/s²].
             elapsed: since the sample before, by the sensor's own clock [s].
         """
-        if elapsed > LONGEST_GAP:
+        if elapsed > LONGEST_GAP and not self._agrees(rate, force):
             self.reset()
         elif self.orientation is None:
             self._align(rate, force, elapsed)
-        else:
+        elif elapsed <= LONGEST_GAP:
             self.orientation = _turned(self.orientation, rate, force, elapsed)
+
+    def _agrees(self, rate: Vector, force: Vector) -> bool:
+        """Whether the sensor is at rest, and tilted as before."""
+        if self.orientation is None or math.hypot(*rate) > REST_RATE:
+            return False
+        w, x, y, z = self.orientation
+        ux, uy, uz = rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
+        fx, fy, fz = force
+        across = math.hypot(fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux)
+        return math.atan2(across, fx * ux + fy * uy + fz * uz) < AGREEMENT
 
     def _align(self, rate: Vector, force: Vector, elapsed: float) -> None:
         """Take the mean of the specific force at rest to point up."""
-        if math.hypot(*rate) > REST_RATE or abs(math.hypot(*force) - GRAVITY) > REST_FORCE:
+        steady = self._samples == 0 or math.dist(force, self._mean) < STEADY
+        if math.hypot(*rate) > REST_RATE or not steady:
             self.reset()
             return
-        self._sum = [total + each for total, each in zip(self._sum, force, strict=True)]
+        self._samples += 1
+        x, y, z = (mean + (each - mean) / self._samples for mean, each in zip(self._mean, force, strict=True))
+        self._mean = x, y, z
         self._rested += elapsed
-        if self._rested >= ALIGNMENT:
-            x, y, z = self._sum
+        if self._rested >= ALIGNMENT and abs(math.hypot(x, y, z) - GRAVITY) < REST_FORCE:
             self.orientation = _about_horizontal(math.atan2(y, z), math.atan2(-x, math.hypot(y, z)))
 
 

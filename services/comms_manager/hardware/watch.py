@@ -10,12 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from valor.common.messages import DeviceStatus
+from valor.comms_manager.hardware.attitude import FRESH, tilt_between
 from valor.comms_manager.hardware.device import RATE_WINDOW, Device, Fault, Part, UnitRates, providers
 from valor.comms_manager.hardware.faults import LEGS_TO_LIMP, REACTIONS, Reaction
 from valor.devices.kinds import Quantity
 
 STATUS_PERIOD = 1.0  # between reports while nothing changes [s]
 HALF_RATE = 0.5  # of the rate that states should have: less is slow
+COMPARE_EVERY = 0.1  # the tilts of several IMUs [s]
+DISAGREEMENT = 0.05  # between two of them, from which on the one that stands by is not to lead [rad]
 LOOKS_TO_SILENCE = 3  # at a port that brought nothing, before it is its unit that is silent
 # Of robot time without a look at a port, after which the robot is to be made safe [s]. Blind for 0.2 s it walks on, for
 # 0.3 s it fell in two runs of three; standing, it bears 0.3 s (benchmarks/blind_imu.py).
@@ -93,7 +96,8 @@ class DeviceWatch:
     """Watches all devices.
 
     Of several that provide an attitude the first of robot.yaml leads, and goes on leading as long as no other is
-    better off: every change is a jump of what the robot knows of itself, however small.
+    better off: every change is a jump of what the robot knows of itself, however small. One whose tilt is not that of
+    the leader is not well: which of two is right nobody knows, but the robot balances by the leader's.
 
     Attributes:
         troubles: what is wrong now.
@@ -106,7 +110,8 @@ class DeviceWatch:
         self._devices = devices
         self._imus = providers(devices, Quantity.ATTITUDE)
         self._seen: tuple[object, ...] = ()
-        self._rates_due = self._due = 0.0
+        self._rates_due = self._due = self._compare_at = 0.0
+        self._disagreeing: dict[str, str] = {}  # IMUs that stand by → what is said of it
         self.troubles: tuple[Trouble, ...] = ()
         self.reaction = Reaction.KEEP_BALANCE
         self.leader = self._imus[0] if self._imus else None
@@ -117,6 +122,7 @@ class DeviceWatch:
         for unit in self._units:
             changed |= unit.look(now)
         seconds = 1e-9 * now
+        changed |= self._compare(seconds)
         if seconds >= self._rates_due:
             self._rates_due = seconds + RATE_WINDOW
             changed |= self._look_at_rates(seconds)
@@ -129,6 +135,28 @@ class DeviceWatch:
             self._due = seconds + STATUS_PERIOD
             return True
         return False
+
+    def _compare(self, now: float) -> bool:
+        """Hold the tilts of those that stand by against the leader's, ten times a second; what was found last holds.
+
+        Returns whether somebody disagrees now, or does no more.
+        """
+        if len(self._imus) < 2 or now < self._compare_at or self.leader is None or self.leader.attitude is None:
+            return False
+        self._compare_at = now + COMPARE_EVERY
+        leading, oldest = self.leader.attitude, time.monotonic_ns() - FRESH
+        before = dict(self._disagreeing)
+        for imu in self._imus:
+            if imu is self.leader or imu.attitude is None or min(imu.attitude.stamp, leading.stamp) < oldest:
+                continue
+            apart = tilt_between(imu.attitude, leading)
+            self._disagreeing.pop(imu.name, None)
+            if apart > DISAGREEMENT:
+                text = (
+                    f"its tilt is {apart:.2f} rad off that of {self.leader.name}; expected up to {DISAGREEMENT:g} rad"
+                )
+                self._disagreeing[imu.name] = before.get(imu.name, text)
+        return before != self._disagreeing
 
     def _look_at_rates(self, now: float) -> bool:
         changed = False
@@ -144,6 +172,11 @@ class DeviceWatch:
     def _judge(self) -> None:
         """Find out what is wrong, who leads, and what the robot is to do about it; log what has changed."""
         before, troubles = self.troubles, [trouble for unit in self._units for trouble in _troubles(unit)]
+        troubles += [
+            _trouble(unit, Fault.FAULTY, self._disagreeing[unit.device.name])
+            for unit in self._units
+            if unit.device.name in self._disagreeing and unit.device is not self.leader
+        ]
         if len(self._imus) > 1:
             troubles = self._choose_leader(troubles)
         self.troubles = tuple(troubles)
@@ -227,7 +260,11 @@ def _troubles(unit: _Unit) -> Iterator[Trouble]:
         faults.append((Fault.SLOW, f"{unit.rates.rate:.0f} states a second; expected {unit.device.rate:g}"))
     faults += [(each.fault, each.detail) for each in unit.device.ailments if each.unit == unit.record.unit]
     for fault, detail in faults:
-        yield Trouble(unit.name, unit.device, unit.part, fault, detail, REACTIONS[fault][unit.part])
+        yield _trouble(unit, fault, detail)
+
+
+def _trouble(unit: _Unit, fault: Fault, detail: str) -> Trouble:
+    return Trouble(unit.name, unit.device, unit.part, fault, detail, REACTIONS[fault][unit.part])
 
 
 def _state(troubles: Sequence[Trouble]) -> str:
