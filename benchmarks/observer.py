@@ -16,6 +16,7 @@ from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Track
 from valor.common.errors import ValorError
 from valor.common.messages import ClockStatus, GroundTruth, MotionState, Statistics
+from valor.common.rotation import heading
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR, STATISTICS
 from valor.robot.description import RobotDescription
 
@@ -109,10 +110,5 @@ class Observer:
         """The true way of the pelvis: forward, left [m], turned [rad]."""
         first, last = self._truth[0], self._truth[-1]
         x, y = (last.pelvis_position_in_world - first.pelvis_position_in_world)[:2].tolist()
-        turned = _heading(last.pelvis_orientation_in_world) - _heading(first.pelvis_orientation_in_world)
+        turned = heading(last.pelvis_orientation_in_world) - heading(first.pelvis_orientation_in_world)
         return x, y, math.remainder(turned, 2.0 * math.pi)
-
-
-def _heading(orientation: np.ndarray) -> float:
-    w, x, y, z = orientation.tolist()
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

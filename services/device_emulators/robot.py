@@ -11,7 +11,7 @@ from msgspec import structs
 
 from valor.common.instance import Settings
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.common.poses import rotate
+from valor.common.rotation import rotate
 from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors

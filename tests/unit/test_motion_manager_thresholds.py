@@ -16,7 +16,8 @@ from tests.unit.test_motion_manager_bypass import goal, lead, standing
 from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
-from valor.motion_manager.handlers.hand_goal import FARTHEST, NORM
+from valor.common.rotation import NORM
+from valor.motion_manager.handlers.hand_goal import FARTHEST
 from valor.motion_manager.handlers.joint_setpoints import STALE
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_contact import HandContacts

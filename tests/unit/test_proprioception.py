@@ -17,7 +17,7 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
-from valor.common.poses import about_z, multiply
+from valor.common.rotation import about_z, multiply
 from valor.comms_manager.hardware.attitude import FRESH, AttitudeSource
 from valor.comms_manager.hardware.device import (
     Device,

@@ -5,31 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]  # w, x, y, z
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product a ⊗ b: first b, then a."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-def rotate(q: Quaternion, v: Vector) -> Vector:
-    """A vector turned by a unit quaternion."""
-    _, x, y, z = multiply(multiply(q, (0.0, *v)), (q[0], -q[1], -q[2], -q[3]))
-    return x, y, z
-
-
-def about_z(angle: float) -> Quaternion:
-    """The rotation about z by an angle [rad]."""
-    return math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle)
+from valor.common.rotation import Quaternion, Vector, about_z, conjugate, heading, multiply, rotate, rows, unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,33 +18,23 @@ class Pose:
     def __matmul__(self, inner: Pose) -> Pose:
         x, y, z = rotate(self.orientation, inner.position)
         px, py, pz = self.position
-        w, *vector = multiply(self.orientation, inner.orientation)
-        norm = math.hypot(w, *vector)
-        a, b, c = (each / norm for each in vector)
-        return Pose((px + x, py + y, pz + z), (w / norm, a, b, c))
+        return Pose((px + x, py + y, pz + z), unit(multiply(self.orientation, inner.orientation)))
 
     def inverse(self) -> Pose:
         """The other frame in this one."""
-        w, x, y, z = self.orientation
-        back = (w, -x, -y, -z)
+        back = conjugate(self.orientation)
         px, py, pz = self.position
         return Pose(rotate(back, (-px, -py, -pz)), back)
 
     @property
     def rotation(self) -> tuple[Vector, Vector, Vector]:
         """Rows of the rotation matrix."""
-        w, x, y, z = self.orientation
-        return (
-            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-        )
+        return rows(self.orientation)
 
     @property
     def yaw(self) -> float:
         """Heading of the frame's x axis [rad]."""
-        w, x, y, z = self.orientation
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return heading(self.orientation)
 
     @property
     def tilt(self) -> float:
@@ -104,6 +70,5 @@ def interpolate(first: Pose, second: Pose, share: float) -> Pose:
     else:
         s, t = (math.sin((1.0 - share) * angle) / math.sin(angle), math.sin(share * angle) / math.sin(angle))
     w, x, y, z = (s * p + t * q for p, q in zip(a, b, strict=True))
-    norm = math.hypot(w, x, y, z)
     px, py, pz = (p + share * (q - p) for p, q in zip(first.position, second.position, strict=True))
-    return Pose((px, py, pz), (w / norm, x / norm, y / norm, z / norm))
+    return Pose((px, py, pz), unit((w, x, y, z)))

@@ -1,4 +1,4 @@
-"""Rotations as the control loop needs them: quaternions (w, x, y, z) as tuples of floats.
+"""Rotations, one at a time: quaternions (w, x, y, z) as tuples of floats, and (3, 3) matrices.
 
 Python floats, for a NumPy call on four numbers costs more than the arithmetic. What multiplies and turns quaternions,
 and ``error``, do it to expressions of ``kernel``, too.
@@ -6,8 +6,8 @@ and ``error``, do it to expressions of ``kernel``, too.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from math import atan2, cos, sin, sqrt
+from collections.abc import Iterable, Sequence
+from math import asin, atan2, cos, sin, sqrt
 
 import numpy as np
 
@@ -17,6 +17,7 @@ Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+NORM = 1e-2  # most that the norm of a goal's quaternion may be off
 
 
 def quaternion(values: Iterable[float]) -> Quaternion:
@@ -56,6 +57,12 @@ def conjugate(a: Quaternion) -> Quaternion:
     return a[0], -a[1], -a[2], -a[3]
 
 
+def rotate(a: Quaternion, v: Vector) -> Vector:
+    """A vector turned by a unit quaternion."""
+    _, x, y, z = multiply(multiply(a, (0.0, *v)), conjugate(a))
+    return x, y, z
+
+
 def small(x: float, y: float, z: float) -> Quaternion:
     """The rotation by a rotation vector [rad] of less than about 0.3 rad (error below 1e-5)."""
     x, y, z = 0.5 * x, 0.5 * y, 0.5 * z
@@ -66,6 +73,19 @@ def small(x: float, y: float, z: float) -> Quaternion:
 def about_z(angle: float) -> Quaternion:
     """The rotation about z by an angle [rad]."""
     return cos(0.5 * angle), 0.0, 0.0, sin(0.5 * angle)
+
+
+def heading(a: Sequence[float]) -> float:
+    """Of the x axis that a unit quaternion turns [rad]."""
+    w, x, y, z = a
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def roll_pitch_yaw(a: Sequence[float]) -> tuple[float, float, float]:
+    """Turns about the fixed axes x, y, z, in order, of a unit quaternion [rad]."""
+    w, x, y, z = a
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    return atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)), asin(sine), heading(a)
 
 
 def rows(a: Quaternion) -> tuple[Vector, Vector, Vector]:
@@ -98,6 +118,18 @@ def yaw_matrix(angle: float) -> FloatArray:
     """(3, 3) rotation about z."""
     c, s = cos(angle), sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """(3, 3) R_z(yaw)·R_y(pitch)·R_x(roll)."""
+    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
+    return np.array(
+        (
+            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+            (-sp, cp * sr, cp * cr),
+        )
+    )
 
 
 def error(desired: FloatArray, actual: FloatArray) -> Vector:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 
+from valor.common import rotation
 from valor.common.messages import MotionState
 
 _OFFSET_GAIN = 0.3  # g [1/s]
@@ -23,8 +24,7 @@ TURNING = 0.15  # [rad/s]
 
 def heading(state: MotionState) -> float:
     """Of the pelvis in odom [rad]."""
-    w, x, y, z = state.pelvis_orientation_in_odom.tolist()
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return rotation.heading(state.pelvis_orientation_in_odom.tolist())
 
 
 class Line:

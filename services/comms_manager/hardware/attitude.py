@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor.common.poses import Quaternion, about_z, multiply, rotate
+from valor.common.rotation import Quaternion, about_z, multiply, rotate
 from valor.comms_manager.hardware.device import Device, ImuMeasurement
 
 FRESH = 20_000_000  # younger, two samples are of one time [ns]

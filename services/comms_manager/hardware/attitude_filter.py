@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from valor.common.poses import Quaternion, Vector, multiply, rotate
+from valor.common.rotation import Quaternion, Vector, multiply, rotate
 
 GRAVITY = 9.80665  # [m/s²]
 TIME_CONSTANT = 10.0  # 1/k_P, in which a wrong tilt goes back to the accelerometers' by a factor of e [s]

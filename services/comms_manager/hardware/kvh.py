@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from valor.common.poses import Vector
+from valor.common.rotation import Vector
 from valor.comms_manager.hardware.attitude_filter import AttitudeFilter
 from valor.comms_manager.hardware.condition import Condition, Limits, require_identity
 from valor.comms_manager.hardware.device import Ailment, DeviceContext, DeviceError, Fault, ImuMeasurement

@@ -16,7 +16,6 @@ from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 
 FRAMES = ("pelvis", "odom")
 FARTHEST = 10.0  # from a frame's origin that a goal is looked at at all [m]
-NORM = 1e-2  # most that a quaternion's norm may be off
 
 
 class HandGoalHandler:
@@ -63,7 +62,7 @@ class HandGoalHandler:
             return "length", f"position and orientation have {position.size} and {orientation.size} numbers"
         if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
             return "number", "position or orientation is not finite"
-        if abs(float(np.linalg.norm(orientation)) - 1.0) > NORM:
+        if abs(float(np.linalg.norm(orientation)) - 1.0) > rotation.NORM:
             return "number", "the orientation is no unit quaternion"
         if np.abs(position).max() > FARTHEST:
             return "number", f"position {position.tolist()} is farther than {FARTHEST:g} m away"

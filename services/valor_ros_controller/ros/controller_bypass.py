@@ -41,6 +41,7 @@ from valor.common.messages import (
     Rejection,
     VelocityCommand,
 )
+from valor.common.rotation import NORM, roll_pitch_yaw
 from valor.common.topics import (
     BALANCE_WEIGHTS,
     HAND_GOAL,
@@ -50,7 +51,6 @@ from valor.common.topics import (
     VELOCITY,
 )
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor.valor_ros_controller.ros.transforms import roll_pitch_yaw
 from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
@@ -65,7 +65,6 @@ HANDS = ("l_hand", "r_hand")
 QUEUE = 10  # commands on demand that wait for the update loop; more, and the oldest are let go
 AT_ONCE = 2  # of them, in one cycle
 LOOK = 5  # what comes back from the Motion System is looked for at every so many cycles
-NORM = 1e-2  # most that a quaternion's norm may be off
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 

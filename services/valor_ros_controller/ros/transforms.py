@@ -14,6 +14,7 @@ from tf2_msgs.msg import TFMessage
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState
+from valor.common.rotation import heading
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
@@ -44,17 +45,6 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)
     return v + w * t + np.cross(u, t)
-
-
-def roll_pitch_yaw(q: Sequence[float]) -> tuple[float, float, float]:
-    """Turns about the fixed axes x, y, z, in order, of a quaternion (w, x, y, z) [rad]."""
-    w, x, y, z = q
-    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
-    return (
-        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        math.asin(sine),
-        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-    )
 
 
 class LinkTransforms:
@@ -172,7 +162,7 @@ class TransformPublisher:
         position = motion.pelvis_position_in_odom.tolist()
         orientation = motion.pelvis_orientation_in_odom.tolist()
         left, right = (_moved(position, orientation, links.in_base(link, point)) for link, point in self._soles)
-        yaw = roll_pitch_yaw(orientation)[2]
+        yaw = heading(orientation)
         middle = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), min(left[2], right[2]))
         rows[0] = _numbers(position, orientation)
         rows[1] = _numbers(middle, (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)))

@@ -11,6 +11,7 @@ import pytest
 
 from bifrost import Received
 from harness.closed_loop import ClosedLoop, load_robot
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import PelvisSetpoint
@@ -21,11 +22,10 @@ from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.balance.pelvis import (
     LegKinematics,
     PelvisReference,
-    from_roll_pitch_yaw,
-    roll_pitch_yaw,
 )
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.robot.commanded_limits import SPEED_MARGIN
+from valor.motion_manager.whole_body.model.turns import roll_pitch_yaw
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 
@@ -61,7 +61,7 @@ def test_roll_pitch_yaw_turn_about_fixed_axes_and_back() -> None:
         quaternion, matrix = np.zeros(4), np.zeros(9)
         mujoco.mju_euler2Quat(quaternion, angles, "XYZ")  # capital letters: fixed axes
         mujoco.mju_quat2Mat(matrix, quaternion)
-        np.testing.assert_allclose(from_roll_pitch_yaw(*angles), matrix.reshape(3, 3), atol=1e-12)
+        np.testing.assert_allclose(rotation.from_roll_pitch_yaw(*angles), matrix.reshape(3, 3), atol=1e-12)
         found = [float(angle) for angle in roll_pitch_yaw(ca.DM(matrix.reshape(3, 3)))]
         np.testing.assert_allclose(found, angles, atol=1e-9)
 
@@ -76,7 +76,7 @@ def test_the_legs_reach_every_corner_of_the_limits(model: Model, pelvis: PelvisR
         kinematics.reset()
         for share in np.minimum(1.0, np.arange(1, 31) / 20):
             place = pelvis.home + share * (corner - pelvis.home)
-            kinematics.update(place, from_roll_pitch_yaw(*place[3:]))
+            kinematics.update(place, rotation.from_roll_pitch_yaw(*place[3:]))
         assert kinematics.solved, f"the soles left the ground at {corner}"
         assert ((kinematics.position > lower + 0.01) & (kinematics.position < upper - 0.01)).all(), corner
 

@@ -8,16 +8,12 @@ the CoM's by the model, its feet kept where they are by the inverse kinematics o
 
 from __future__ import annotations
 
-from math import cos, sin
-
-import casadi as ca
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.kernel import Expression
 from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.state import RobotState
@@ -126,7 +122,7 @@ class PelvisReference:
 
     def _take(self) -> None:
         roll, pitch, yaw = self._limiter.position[3:].tolist()
-        self.rotation = from_roll_pitch_yaw(roll, pitch, yaw)
+        self.rotation = rotation.from_roll_pitch_yaw(roll, pitch, yaw)
 
     def measured(self, state: RobotState) -> FloatArray:
         """(6,) where the pelvis is, as estimated."""
@@ -210,25 +206,3 @@ class LegKinematics:
         """(2, 3)."""
         soles: FloatArray = self._data.site_xpos[self._sites]
         return soles
-
-
-def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """(3, 3) R_z(yaw)·R_y(pitch)·R_x(roll)."""
-    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
-    return np.array(
-        (
-            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-            (-sp, cp * sr, cp * cr),
-        )
-    )
-
-
-def roll_pitch_yaw(matrix: Expression) -> tuple[Expression, Expression, Expression]:
-    """The inverse of ``from_roll_pitch_yaw``, of a (3, 3) expression, for a pitch below π/2 [rad]."""
-    forward = ca.norm_2(matrix[:2, 0])
-    return (
-        ca.atan2(matrix[2, 1], matrix[2, 2]),
-        ca.atan2(-matrix[2, 0], forward),
-        ca.atan2(matrix[1, 0], matrix[0, 0]),
-    )

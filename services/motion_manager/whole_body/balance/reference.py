@@ -16,6 +16,7 @@ import numpy as np
 from valor.common import rotation
 from valor.motion_manager.kernel import Expression, clipped
 from valor.motion_manager.tuning_tables import Tuning
+from valor.motion_manager.whole_body.model.turns import turned
 from valor.robot.description import RobotDescription
 
 
@@ -153,8 +154,8 @@ class StandReference:
             centre_vrp=centre_vrp,
             turning=level @ led.angular_velocity,
             legs_blend=s,
-            pelvis=_turned(left * offsets[1, :].T) @ pelvis,
-            chest=_turned(left * offsets[2, :].T) @ pelvis @ led.chest,
+            pelvis=turned(left * offsets[1, :].T) @ pelvis,
+            chest=turned(left * offsets[2, :].T) @ pelvis @ led.chest,
         )
         com_offset = ca.if_else(steps, 0.0, offsets[0, :])
         support = ca.if_else(steps, centre_vrp, support)  # where standing goes on from
@@ -169,13 +170,6 @@ class StandReference:
         """(3,) of the CoM with the arms, limited, and with the pelvis; both together well inside the soles."""
         shift = clipped(led.rotation @ led.arms_com, -self._limit, self._limit)
         return level @ clipped(shift + led.com, -self._inside, self._inside)
-
-
-def _turned(vector: Expression) -> Expression:
-    """(3, 3) rotation by a rotation vector [rad] (Rodrigues)."""
-    angle = ca.fmax(ca.norm_2(vector), 1e-12)
-    cross = ca.skew(vector / angle)
-    return ca.SX.eye(3) + ca.sin(angle) * cross + (1.0 - ca.cos(angle)) * (cross @ cross)
 
 
 def _vector(matrix: Expression) -> Expression:
