@@ -17,7 +17,9 @@ from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.constraints.contact import FootContacts
+from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
 from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
+from valor.motion_manager.whole_body.constraints.torque_limits import TorqueLimits
 from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
 from valor.motion_manager.whole_body.model.motion import FEET
@@ -27,13 +29,14 @@ from valor.motion_manager.whole_body.solver.objective import Objective
 from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
 from valor.motion_manager.whole_body.tasks.desired import DesiredAccelerations
-from valor.motion_manager.whole_body.tasks.table import TASKS, WEIGHTS, motions
+from valor.motion_manager.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
 from valor.motion_manager.whole_body.tasks.weights import TaskWeights
 from valor.motion_manager.whole_body.walking.footsteps import StepSource
 from valor.motion_manager.whole_body.walking.gait import Gait
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.robot.motion_tables import WholeBody
 
 _log = logging.getLogger(__name__)
 
@@ -63,25 +66,18 @@ class WholeBodyController:
         self._upper_body = UpperBodyKinematics(model)
         gravity = -float(model.mj.opt.gravity[2])
         omega = DcmLaw.natural_frequency(self._upper_body.nominal_com_height, gravity)
-        law = DcmLaw(
-            omega,
-            table.dcm_gain,
-            table.dcm_integral_gain,
-            table.dcm_integral_limit,
-            table.dcm_integral_error,
-            push_gain=table.dcm_push_gain,
-            push_error=table.dcm_push_error,
-            grip=table.friction / sqrt(2.0) * gravity,
-        )
+        law = _law(table, omega, gravity)
         legs = joints.group("left_leg", "right_leg")
         self.pelvis = PelvisReference(model, legs)
         self._set_points = SetPoints(robot, joints)
         tasks, motions_of_tasks = [task(robot) for task in TASKS], motions(model)
+        limits = JointLimits(robot, table, joints.places)
         self._desired = DesiredAccelerations(
             robot,
             joints,
             tasks=tasks,
             motions=motions_of_tasks,
+            limits=limits,
             law=law,
             upper_body=self._upper_body,
             pelvis=self.pelvis,
@@ -89,9 +85,9 @@ class WholeBodyController:
             set_points=self._set_points,
         )
         self._objective = Objective(tasks, motions_of_tasks, joints)
-        self.weights = TaskWeights(table, robot.tables.weight_factor, robot.control_period)
+        self.weights = TaskWeights(nominal_weights(table), robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
-        self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * -float(model.mj.opt.gravity[2])
+        self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
         self._swung: int | None = None  # the foot that the objective knows to swing
         self.step_source: StepSource | None = None
         self.may_recover = True
@@ -106,7 +102,9 @@ class WholeBodyController:
         self._soles = motions_of_tasks.rows[FEET]
         self._collision = SelfCollision(model)
         self._load = (1.0, 1.0)
-        self._qp = ContactForceQp(self._contacts.count, model.mj.dof_damping[6:].copy())
+        self._qp = ContactForceQp(
+            self._contacts.count, joints.count, (TorqueLimits(model.mj.dof_damping[6:].copy()), limits)
+        )
         self._effort = np.zeros(self._count)  # last feasible
         self._forces = np.zeros(2)
         self.qp_failures = 0
@@ -254,3 +252,16 @@ class WholeBodyController:
             qp_status=status,
             qp_failures=self.qp_failures,
         )
+
+
+def _law(table: WholeBody, omega: float, gravity: float) -> DcmLaw:
+    return DcmLaw(
+        omega,
+        table.dcm_gain,
+        table.dcm_integral_gain,
+        table.dcm_integral_limit,
+        table.dcm_integral_error,
+        push_gain=table.dcm_push_gain,
+        push_error=table.dcm_push_error,
+        grip=table.friction / sqrt(2.0) * gravity,
+    )

@@ -13,9 +13,12 @@ from valor.common.arrays import FloatArray
 from valor.common.rotation import IDENTITY
 from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.constraints.contact import FootContacts, contact_points, sole_generators
+from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
+from valor.motion_manager.whole_body.constraints.limit import Limit
+from valor.motion_manager.whole_body.constraints.torque_limits import TorqueLimits
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.model.motion import FEET
-from valor.motion_manager.whole_body.solver.elimination import FORCE_REGULARIZATION, Limit, UnsolvableError
+from valor.motion_manager.whole_body.solver.elimination import FORCE_REGULARIZATION, UnsolvableError
 from valor.motion_manager.whole_body.solver.objective import Objective
 from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
 from valor.motion_manager.whole_body.state import QpStatus
@@ -92,7 +95,9 @@ def problem(robot: RobotDescription, model: Model, state: RandomState, seed: int
     contacts = FootContacts(robot, model.mj.nv)
     contacts.update(dynamics.jacobian[dynamics.rows[FEET]], dynamics.sole_rotation)
     damping = model.mj.dof_damping[6:].copy()
-    return Problem(dynamics, objective, contacts, damping, ContactForceQp(contacts.count, damping))
+    limits = TorqueLimits(damping), JointLimits(robot, robot.tables.whole_body, dynamics.joints.places)
+    qp = ContactForceQp(contacts.count, dynamics.joints.count, limits)
+    return Problem(dynamics, objective, contacts, damping, qp)
 
 
 @pytest.fixture(params=range(6))

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
+import numpy.typing as npt
 
+from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, clipped
 from valor.motion_manager.tuning_tables import WholeBody
+from valor.motion_manager.whole_body.constraints.limit import JointLimit, Limit, Solved
+from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.robot.description import RobotDescription
 from valor.robot.model import Indices
 
 
-class JointLimits:
-    """Bounds of the model's joints.
+class JointLimits(JointLimit):
+    """q̈ [rad/s²] of the model's joints, and its bounds.
 
     A joint may approach its stop no faster than proportionally to what is left, and is kept from going faster:
 
@@ -35,3 +40,13 @@ class JointLimits:
             for end in (self._lower, self._upper)
         )
         return lower, upper
+
+    def value(self, solved: Solved) -> Expression:
+        """(nj,) q̈."""
+        return solved.acceleration
+
+    def rows(self, dynamics: Dynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
+        """Of some joints."""
+        rows = np.zeros((joints.size, dynamics.velocity.size))
+        rows[np.arange(joints.size), 6 + joints] = 1.0
+        return Limit(rows, np.zeros(joints.size), np.zeros((joints.size, forces.shape[0])))

@@ -22,8 +22,8 @@ from heapq import heappop, heappush
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.motion_manager.whole_body.constraints.limit import Limit
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.solver.elimination import Limit
 from valor.robot.model import Model
 
 FASTEST = 4.0  # that two parts approach each other [m/s]

@@ -32,6 +32,7 @@ from scipy.linalg.lapack import dposv, dpotrf, dpotrs
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel
+from valor.motion_manager.whole_body.constraints.limit import Limit
 
 FORCE_REGULARIZATION = 1e-4  # ε [1/N²·(objective's unit)]
 VALUE_REGULARIZATION = 1e-9  # of y: S⁻¹ makes it definite already, this keeps round-off from undoing it
@@ -39,14 +40,6 @@ VALUE_REGULARIZATION = 1e-9  # of y: S⁻¹ makes it definite already, this keep
 
 class UnsolvableError(ArithmeticError):
     """The problem of this period has no solution: numbers that are not finite, or limits that cross."""
-
-
-class Limit(NamedTuple):
-    """Rows of limited quantities y = c·v̇ + e − s·ρ."""
-
-    rows: FloatArray  # (k, nv) c
-    offset: FloatArray  # (k,) e
-    forces: FloatArray  # (k, nρ) s
 
 
 class Elimination:

@@ -21,8 +21,9 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel
 from valor.motion_manager.whole_body.constraints.contact import UNBOUNDED
+from valor.motion_manager.whole_body.constraints.limit import JointLimit, Limit, Solved
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.solver.elimination import Elimination, Limit, Reduced, UnsolvableError
+from valor.motion_manager.whole_body.solver.elimination import Elimination, Reduced, UnsolvableError
 from valor.motion_manager.whole_body.solver.objective import Objective
 from valor.motion_manager.whole_body.state import QpStatus
 
@@ -32,10 +33,10 @@ TOLERANCE = 1e-6  # of a limit [N·m, rad/s²]
 
 @dataclass(slots=True)
 class Bounds:
-    """Limits in this period: of the joints, torques [N·m] first, then accelerations [rad/s²]; then ``others``."""
+    """Limits in this period: of every joint, one kind after another; then ``others``."""
 
-    lower: FloatArray  # (2·nj + k,)
-    upper: FloatArray  # (2·nj + k,)
+    lower: FloatArray  # (kinds·nj + k,)
+    upper: FloatArray  # (kinds·nj + k,)
     others: Limit | None = None  # k more, of accelerations alone
 
 
@@ -53,21 +54,22 @@ class Solution:
 class ContactForceQp:
     """Solves for contact forces and accelerations."""
 
-    def __init__(self, generators: int, joint_damping: FloatArray) -> None:
+    def __init__(self, generators: int, joints: int, limits: Sequence[JointLimit]) -> None:
         """A problem with nothing bound.
 
         Args:
             generators: nρ.
-            joint_damping: (nj,) viscous [N·m·s/rad].
+            joints: nj.
+            limits: of every joint; the first is of the torques.
         """
         self._generators = generators
-        self._damping = joint_damping
-        self._joints = len(joint_damping)
+        self._joints, self._limits = joints, limits
+        self._bounded = len(limits) * joints
         self._none = np.zeros(0, dtype=np.intp)
         n = self._joints
         self._elimination = Elimination(6 + n)
-        self._given = np.zeros((9, n))
-        self._values, self._excess = np.zeros(2 * n), np.zeros(2)
+        self._given = np.zeros((5 + 2 * len(limits), n))
+        self._values, self._excess = np.zeros(self._bounded), np.zeros(2)
         self._pushes_freely = True  # whether no generator was at a bound in the period before
         self._check = Kernel("limits", self._expressions, (self._given,), (self._values, self._excess))
         self.limit_forces(np.full(generators, UNBOUNDED))
@@ -116,8 +118,8 @@ class ContactForceQp:
                     dynamics.joint_velocity,
                     pushes @ forces[:, 6:],
                     acceleration[6:],
-                    bounds.lower[: 2 * n],
-                    bounds.upper[: 2 * n],
+                    bounds.lower[: self._bounded],
+                    bounds.upper[: self._bounded],
                 ),
                 out=self._given.reshape(-1),
             )
@@ -139,10 +141,12 @@ class ContactForceQp:
         raise UnsolvableError(f"limits of joints kept breaking after {ROUNDS} rounds")
 
     def _expressions(self, given: Expression) -> Sequence[Expression]:
-        """(2·nj,) torques and accelerations; (2,) how far the worst of them is beyond its limits, and all squared."""
-        inertial, bias, velocity, contact, acceleration, *_ = (given[i, :].T for i in range(9))
-        values = ca.vertcat(inertial + bias + ca.DM(self._damping) * velocity - contact, acceleration)
-        lower, upper = (ca.vec(given[i : i + 2, :].T) for i in (5, 7))
+        """Values of all limits; (2,) how far the worst of them is beyond its bounds, and all squared."""
+        inertial, bias, velocity, contact, acceleration = (given[i, :].T for i in range(5))
+        solved = Solved(inertial, bias, contact, velocity, acceleration)
+        values = ca.vertcat(*(limit.value(solved) for limit in self._limits))
+        kinds = len(self._limits)
+        lower, upper = (ca.vec(given[i : i + kinds, :].T) for i in (5, 5 + kinds))
         excess = functools.reduce(ca.fmax, ca.vertsplit(ca.fmax(values - upper, lower - values)))
         return values, ca.vertcat(excess, ca.sumsqr(values))
 
@@ -169,23 +173,19 @@ class ContactForceQp:
     def _limit(
         self, dynamics: Dynamics, forces: FloatArray, joined: npt.NDArray[np.intp], others: Limit | None
     ) -> Limit:
-        mass, n = dynamics.mass_matrix, self._joints
-        offset = dynamics.bias[6:] + self._damping * dynamics.joint_velocity
         rows, constant, effect = (
-            np.zeros((joined.size, n + 6)),
+            np.zeros((joined.size, self._joints + 6)),
             np.zeros(joined.size),
             np.zeros((joined.size, self._upper.size)),
         )
-        torques, accelerations = joined < n, (joined >= n) & (joined < 2 * n)
-        joint = joined[torques]
-        rows[torques] = mass[6 + joint]
-        constant[torques] = offset[joint]
-        effect[torques] = forces[:, 6 + joint].T
-        rows[accelerations, 6 + joined[accelerations] - n] = 1.0
+        for kind, limit in enumerate(self._limits):
+            chosen = (joined >= kind * self._joints) & (joined < (kind + 1) * self._joints)
+            part = limit.rows(dynamics, forces, joined[chosen] - kind * self._joints)
+            rows[chosen], constant[chosen], effect[chosen] = part
         if others is not None:
-            more = joined >= 2 * n
-            rows[more] = others.rows[joined[more] - 2 * n]
-            constant[more] = others.offset[joined[more] - 2 * n]
+            more = joined >= self._bounded
+            rows[more] = others.rows[joined[more] - self._bounded]
+            constant[more] = others.offset[joined[more] - self._bounded]
         return Limit(rows, constant, effect)
 
     def _minimum(self, reduced: Reduced, bounds: Bounds, joined: npt.NDArray[np.intp]) -> FloatArray:

@@ -65,32 +65,21 @@ class DesiredAccelerations:
         *,
         tasks: Sequence[Task],
         motions: Motions,
+        limits: JointLimits,
         law: DcmLaw,
         upper_body: UpperBodyKinematics,
         pelvis: PelvisReference,
         legs: Sequence[int],
         set_points: SetPoints,
     ) -> None:
-        """Build the kernel.
-
-        Args:
-            robot: its tables.
-            joints: of the model.
-            tasks: that want something.
-            motions: theirs.
-            law: of the DCM.
-            upper_body: at the commanded posture.
-            pelvis: as it is led.
-            legs: which of the model's joints are the legs'.
-            set_points: of the joints.
-        """
+        """Build the kernel of these; ``legs`` says which of the model's joints are the legs'."""
         nj = joints.count
         self._tasks, self._motions, self._law = tasks, motions, law
         self._places, self._legs = joints.places, list(legs)
         self._integrated = set_points.integrated
         self._pelvis, self._upper_body = pelvis, upper_body
         self._reference = StandReference(robot, law.omega, upper_body.nominal_com_height)
-        self._limits = JointLimits(robot, robot.read(Tuning).whole_body, joints.places)
+        self._limits = limits
         self._posture = Posture(robot, joints.places, self._legs)
         # Soles' places and rotations, CoM, DCM, pelvis' velocity; velocities and poses of the motions.
         self._sizes = (6, 18, 3, 3, 3, motions.count, motions.size)
@@ -107,35 +96,24 @@ class DesiredAccelerations:
         self.lower, self.upper, self.velocity = np.zeros(nj), np.zeros(nj), np.zeros(nj)
         self._told = np.zeros((4, 3))
         self.dcm = self.shift = self.centre_dcm = self.centre_vrp = np.zeros(3)
-        self._evaluate = Kernel(
-            "desired",
-            self._expressions,
-            (
-                self._state,
-                self._memory,
-                self._led,
-                upper_body.com,
-                upper_body.chest_rotation(),
-                self._legs_led,
-                self._legs_start,
-                self._gait,
-                self._swing,
-                self._asked,
-                self._measured,
-                set_points.position,
-                set_points.velocity,
-                self._dt,
-            ),
-            (
-                self._next,
-                self._told,
-                self.acceleration,
-                self.posture,
-                self.lower,
-                self.upper,
-                self.velocity,
-            ),
+        inputs = (
+            self._state,
+            self._memory,
+            self._led,
+            upper_body.com,
+            upper_body.chest_rotation(),
+            self._legs_led,
+            self._legs_start,
+            self._gait,
+            self._swing,
+            self._asked,
+            self._measured,
+            set_points.position,
+            set_points.velocity,
+            self._dt,
         )
+        told = self._told, self.acceleration, self.posture, self.lower, self.upper, self.velocity
+        self._evaluate = Kernel("desired", self._expressions, inputs, (self._next, *told))
 
     @property
     def integral(self) -> FloatArray:

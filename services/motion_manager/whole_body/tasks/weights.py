@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import log
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.tuning_tables import WholeBody
-from valor.motion_manager.whole_body.tasks.table import nominal_weights
 
 DOUBLING_TIME = 0.2  # in which a weight is at most doubled or halved [s]
 
@@ -17,20 +16,20 @@ class TaskWeights:
     """Weights on their way to those asked for.
 
     Attributes:
-        nominal: (k,) of robot.yaml, in the order of ``WEIGHTS``.
+        nominal: (k,) of robot.yaml, in the order of ``table.WEIGHTS``.
         values: (k,) in force.
         lower, upper: (k,) between which they may be.
     """
 
-    def __init__(self, table: WholeBody, factor: float, dt: float) -> None:
+    def __init__(self, nominal: Sequence[float], factor: float, dt: float) -> None:
         """Those of robot.yaml.
 
         Args:
-            table: whole_body.
+            nominal: in the order of ``table.WEIGHTS``.
             factor: by which a weight may be greater or smaller than nominal.
             dt: a control period [s].
         """
-        self.nominal = np.array(nominal_weights(table))
+        self.nominal = np.array(nominal)
         self.lower, self.upper = self.nominal / factor, self.nominal * factor
         self.values = self.nominal.copy()
         self._target = self.nominal
