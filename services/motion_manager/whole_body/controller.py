@@ -108,6 +108,7 @@ class WholeBodyController:
         self._effort = np.zeros(self._count)  # last feasible
         self._forces = np.zeros(2)
         self.qp_failures = 0
+        self._weigh(None)
 
     @property
     def stepping(self) -> bool:
