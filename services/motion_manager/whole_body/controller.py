@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.tuning_tables import Tuning
+from valor.motion_manager.tuning_tables import Tuning, WholeBody
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.constraints.contact import FootContacts
@@ -36,7 +36,6 @@ from valor.motion_manager.whole_body.walking.gait import Gait
 from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.robot.motion_tables import WholeBody
 
 _log = logging.getLogger(__name__)
 

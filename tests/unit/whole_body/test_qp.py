@@ -95,7 +95,7 @@ def problem(robot: RobotDescription, model: Model, state: RandomState, seed: int
     contacts = FootContacts(robot, model.mj.nv)
     contacts.update(dynamics.jacobian[dynamics.rows[FEET]], dynamics.sole_rotation)
     damping = model.mj.dof_damping[6:].copy()
-    limits = TorqueLimits(damping), JointLimits(robot, robot.tables.whole_body, dynamics.joints.places)
+    limits = TorqueLimits(damping), JointLimits(robot, robot.read(Tuning).whole_body, dynamics.joints.places)
     qp = ContactForceQp(contacts.count, dynamics.joints.count, limits)
     return Problem(dynamics, objective, contacts, damping, qp)
 

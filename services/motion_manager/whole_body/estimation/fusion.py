@@ -20,6 +20,7 @@ import numpy as np
 from valor.common import rotation
 from valor.common.rotation import Quaternion
 from valor.motion_manager.kernel import Expression, parts, pieces
+from valor.motion_manager.tuning_tables import Estimator
 from valor.motion_manager.whole_body.estimation import attitude, foot_contact
 from valor.motion_manager.whole_body.estimation.attitude import Attitude
 from valor.motion_manager.whole_body.estimation.foot_contact import FootContact, FootSense, Past
@@ -27,7 +28,6 @@ from valor.motion_manager.whole_body.estimation.odometry import BIAS, FEET, NOTH
 from valor.motion_manager.whole_body.model.dynamics import Dynamics
 from valor.motion_manager.whole_body.model.turns import roll_pitch_yaw
 from valor.motion_manager.whole_body.tasks.centre_of_mass import CentreOfMass
-from valor.robot.motion_tables import Estimator
 
 TOLD: dict[str, tuple[int, ...]] = {
     "pelvis_rotation_in_odom": (3, 3),

@@ -14,7 +14,6 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression, Kernel, by_rows, pieces
-from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
 from valor.motion_manager.whole_body.balance.pelvis import PelvisReference
 from valor.motion_manager.whole_body.balance.reference import Begun, Feet, Led, StandReference
