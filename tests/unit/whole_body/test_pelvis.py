@@ -24,8 +24,8 @@ from valor.motion_manager.whole_body.balance.pelvis import (
     PelvisReference,
 )
 from valor.motion_manager.whole_body.model.dynamics import ModelJoints
-from valor.robot.commanded_limits import SPEED_MARGIN
 from valor.motion_manager.whole_body.model.turns import roll_pitch_yaw
+from valor.robot.commanded_limits import SPEED_MARGIN
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 
