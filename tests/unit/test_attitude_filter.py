@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.examples import examples
-from valor.common.poses import Quaternion, Vector, multiply, rotate
+from valor.common.rotation import Quaternion, Vector, multiply, rotate
 from valor.comms_manager.hardware.attitude_filter import (
     ALIGNMENT,
     GRAVITY,
