@@ -21,6 +21,7 @@ KEPT = 1000  # Motors whose behavior is remembered until their MotionState comes
 WARM_UP = 60.0  # of a process, in which it may still grow [s]
 SPAN = 60.0  # of samples that say something [s]
 GROWTH = 8.0  # between the first and the last quarter of the samples [MiB]
+HELD_UP = {"bag_recorder": 24.0}  # likewise, of who keeps what its queues of seconds once took
 _GRAVE = re.compile(r"Traceback \(most recent|Assertion failed|SIGABRT|SIGSEGV")
 _VECTORS = ("position", "velocity", "effort", "stiffness", "damping")
 

@@ -29,8 +29,8 @@ UNITS_NEEDED: Mapping[str, Behavior] = {
 }
 """Units without which no balance is kept → where the robot goes when they are unplugged; all others: nowhere."""
 _BALANCING = OPERATIONAL | {Behavior.SOFT_STOP}
-_PASSED = frozenset({Behavior.SOFT_STOP})
-"""Passed through within one period, where a robot in Step or Walk is held after a gap of robot time."""
+_PASSED = _BALANCING
+"""Passed through within one period: by two requests, or Soft Stop, in which a robot that steps is held after a gap."""
 
 
 def lawful(before: Behavior, after: Behavior, *, anew: bool) -> bool:

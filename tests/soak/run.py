@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import bifrost
 from tests.soak.activities import ACTIVITIES, Activity, Going
-from tests.soak.checks import GROWTH, growth, in_logs, unreadable
+from tests.soak.checks import GROWTH, HELD_UP, growth, in_logs, unreadable
 from tests.soak.event import Event
 from tests.soak.events import events
 from tests.soak.rig import LOW, BrokenError, Rig
@@ -168,7 +168,7 @@ class Soak:
         rig.instance.logs.rename(rig.instance.logs.with_name(f"logs-{rig.ups}"))  # each life's words by themselves
         found += unreadable(rig.instance.bags)
         for (name, pid), samples in rig.memory.items():
-            if (grown := growth(samples)) > GROWTH:
+            if (grown := growth(samples)) > HELD_UP.get(name, GROWTH):
                 found.append(f"{name} ({pid}) grew by {grown:.1f} MiB")
         rig.memory.clear()
         return found

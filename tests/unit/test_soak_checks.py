@@ -65,6 +65,10 @@ def at(position: float) -> np.ndarray[Any, np.dtype[np.float64]]:
 def test_sound_motors_are_well() -> None:
     tried, writer = checks.MotorChecks(ROBOT), Writer()
     assert [tried.find(writer.motor(each)) for each in ("stand", "stand", "walk", "stand", "freeze")] == [[]] * 5
+    tried = checks.MotorChecks(ROBOT)
+    assert [tried.find(writer.motor(each)) for each in ("step", "stand_manipulate")] == [[]] * 2, (
+        "two requests in a period"
+    )
 
 
 def test_one_that_stands_aside_begins_at_rest() -> None:
@@ -83,7 +87,7 @@ def test_one_that_stands_aside_begins_at_rest() -> None:
         ({"position": at(ROBOT.lower[3] - 0.001)}, f"position of {ROBOT.joints[3]} beyond"),
         ({"effort": vector(-1.001 * ROBOT.effort_limit[3])}, f"effort of {ROBOT.joints[3]} beyond"),
         ({"sequence": 1}, "sequence goes back"),
-        ({"behavior": "walk_manipulate"}, "no edge"),
+        ({"behavior": "get_up"}, "no edge"),
         ({"behavior": "dance"}, "unknown behavior"),
         ({"writer": 2, "behavior": "stand"}, "after a restart"),
         ({"writer": 0, "behavior": "freeze"}, "another one has followed"),
