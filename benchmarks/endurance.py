@@ -24,6 +24,7 @@ import psutil
 from harness.closed_loop import load_robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest, MotionState
+from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.manager import MotionManager
 from valor.robot.model import controller_model
 from valor.simulation.plant import Plant
@@ -46,7 +47,7 @@ class Standing:
         self._substeps = round(robot.control_period / self.plant.step_time)
         self.plant.actuators.hold(robot.nominal_posture)
         self.run(3.0)
-        reply = self.manager.behavior_handler.handle(BehaviorRequest(behavior=Behavior.STAND), "benchmark")
+        reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior=Behavior.STAND), "benchmark")
         if not reply.accepted:
             sys.exit(f"stand refused: {reply.reason}")
         self.run(SETTLING)

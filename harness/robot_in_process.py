@@ -10,6 +10,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest, Motor
+from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.manager import MotionManager
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
@@ -51,7 +52,7 @@ class RobotInProcess:
 
     def ask(self, behavior: Behavior) -> str:
         """Ask for a behavior: why it was refused, or an empty text."""
-        reply = self.manager.behavior_handler.handle(BehaviorRequest(behavior), "benchmark")
+        reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior), "benchmark")
         return "" if reply.accepted else reply.reason
 
     def step(self) -> None:

@@ -166,7 +166,9 @@ class MotionSystem:
         self._upper_body = UpperBody(ROBOT, self.reference)
         self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda _: "")
         hands = HandGoals(MODEL, self.reference, ROBOT.nominal_posture)
-        self._setpoints = JointSetpointsHandler(ROBOT, self.fsm, self._upper_body, hands, self.rejections)
+        self._setpoints = JointSetpointsHandler(
+            ROBOT, self.fsm, self._upper_body, hands, self.rejections, taken_over=lambda: self._taken_over
+        )
         self._taken_over = time
         self._was = Behavior.IDLE
         self.take_up(position)
@@ -190,7 +192,7 @@ class MotionSystem:
         """Hear, move, report."""
         now = time * 1e-9
         if received := network.topic(topics.JOINT_SETPOINTS.name).latest():
-            self._setpoints.handle(received, time, self._taken_over)
+            self._setpoints.handle(received, time)
         if received := network.topic(topics.PELVIS.name).latest():
             self._pelvis_target = received.message.position
         fsm = self.fsm

@@ -16,6 +16,7 @@ from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import VelocityCommand
+from valor.motion_manager.handlers.velocity import VelocityHandler
 from valor.motion_manager.reflex import BalanceReflex
 from valor.robot.description import RobotDescription
 
@@ -57,7 +58,9 @@ class WalkingRobot(RobotInProcess):
         """Forward, left [m/s], turning [rad/s]."""
         for _ in range(round(seconds / self._period)):
             command = VelocityCommand(self.manager.time, *velocity)
-            self.manager.velocity_handler.handle(Received(command, 0, 1, "valor_ros_controller"), self.manager.time)
+            self.manager.handler(VelocityHandler).handle(
+                Received(command, 0, 1, "valor_ros_controller"), self.manager.time
+            )
             self.step()
 
     def abandon(self, then: Then, blind: int = 0) -> End:

@@ -29,7 +29,7 @@ from valor.robot.model import controller_model
 LONGEST = 5.0  # that it drives the robot [s]
 SETTLED = 0.5  # at rest for so long, it is done [s]
 STILL = 0.03  # of the CoM: slower than this it is at rest [m/s]
-FAULTS = 5  # consecutive periods without a believable Proprioceptor or a solution, after which it gives up
+FAULTY = 0.01  # without a believable Proprioceptor or a solution, after which it gives up [s]
 LIFTED = 0.02  # of the robot's weight: a foot that carries less is in the air
 
 
@@ -47,6 +47,7 @@ class BalanceReflex:
         model = controller_model(robot)
         n = len(robot.joints)
         self._period = robot.control_period
+        self._most_faults = round(FAULTY / robot.control_period)
         self._estimator = FloatingBaseEstimator(robot, model)
         self._controller = WholeBodyController(robot, model)
         self._detector = FallDetector(robot)
@@ -145,7 +146,7 @@ class BalanceReflex:
         """A period without a command of its own."""
         self._command.repeat()
         self._faults += 1
-        if self._faults >= FAULTS:
+        if self._faults >= self._most_faults:
             self._end(why)
 
     def _let_go(self, proprioceptor: Proprioceptor, why: str) -> None:

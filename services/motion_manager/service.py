@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -18,24 +18,17 @@ from valor.common.messages import (
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
 from valor.common.topics import (
-    BALANCE_WEIGHTS,
-    BEHAVIOR,
     BEHAVIOR_CHANGE,
-    DEVICES,
-    FOOTSTEP_PLAN,
-    HAND_GOAL,
     HAND_GOAL_STATUS,
-    JOINT_GAINS,
-    JOINT_SETPOINTS,
     MOTION_STATE,
     MOTOR,
-    PELVIS,
     PROPRIOCEPTOR,
     REJECTION,
     STEP_STATUS,
-    VELOCITY,
 )
 from valor.common.trace import Stage
+from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from valor.motion_manager.handlers.handler import Handler
 from valor.motion_manager.hands.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
 from valor.motion_manager.safety.custody import ASIDE
@@ -53,7 +46,6 @@ STALL = 0.1  # between two looks: this process was stopped, or starved [s]
 CATCHING_UP = 0.1  # with what has come meanwhile, at most [s]
 LULL = 1e-3  # without another Proprioceptor: the newest one is there [s]
 
-M = TypeVar("M", bound=bifrost.Message)
 Input = bifrost.Subscriber[Any] | bifrost.Server[Any, Any]
 
 _log = logging.getLogger("motion_manager")
@@ -74,31 +66,20 @@ class MotionManagerService:
         self._behavior_change = BEHAVIOR_CHANGE.publisher(node)
         self._rejection = REJECTION.publisher(node)
         self._step_status = STEP_STATUS.publisher(node)
-        self._setpoints = JOINT_SETPOINTS.subscriber(node)
-        self._velocity = VELOCITY.subscriber(node)
-        self._pelvis = PELVIS.subscriber(node)
-        self._hand_goal = HAND_GOAL.subscriber(node)
         self._hand_status = HAND_GOAL_STATUS.publisher(node)
         self._hand_changes = 0
         self._hand_status_due = 0
-        self._gains = JOINT_GAINS.subscriber(node)
-        self._weights = BALANCE_WEIGHTS.subscriber(node)
-        self._behavior = BEHAVIOR.server(node, self._manager.behavior_handler.handle)
-        self._footstep_plan = FOOTSTEP_PLAN.server(node, self._manager.footstep_handler.handle)
-        self._devices = DEVICES.subscriber(node)
-        self._commands: dict[Input, Callable[[], None]] = {
-            self._setpoints: self._take_setpoints,
-            self._velocity: self._take_velocities,
-            self._pelvis: self._take_pelvis,
-            self._hand_goal: self._take_hand_goals,
-            self._gains: self._take_gains,
-            self._weights: self._take_weights,
-        }
-        self._requests: dict[Input, Callable[[], object]] = {
-            self._behavior: partial(self._behavior.serve, REQUESTS_AT_ONCE),
-            self._footstep_plan: partial(self._footstep_plan.serve, REQUESTS_AT_ONCE),
-            self._devices: self._hear_devices,
-        }
+        self._footsteps = self._manager.handler(FootstepPlanHandler)
+        self._commands: dict[Input, Callable[[], object]] = {}
+        self._requests: dict[Input, Callable[[], object]] = {}
+        for handler in self._manager.handlers:
+            if isinstance(handler, Handler):
+                subscriber = handler.topic.subscriber(node)
+                inputs = self._requests if handler.after_motor else self._commands
+                inputs[subscriber] = partial(self._take, handler, subscriber)
+            else:
+                server = handler.topic.server(node, handler.handle)
+                self._requests[server] = partial(server.serve, REQUESTS_AT_ONCE)
         # Last, when everything is ready to answer it: the newest alone, for what is older has passed.
         self._proprioceptor = PROPRIOCEPTOR.subscriber(node)
         self._inputs: bifrost.Poller[Input] = bifrost.Poller((self._proprioceptor, *self._commands, *self._requests))
@@ -209,11 +190,11 @@ class MotionManagerService:
         manager = self._manager
         for rejection in manager.rejections.take():
             self._rejection.publish(rejection)
-        changed = manager.footstep_handler.changes != self._step_changes
+        changed = self._footsteps.changes != self._step_changes
         if changed or manager.time >= self._step_status_due or manager.time < self._step_status_due - 1e9:
-            self._step_changes = manager.footstep_handler.changes
+            self._step_changes = self._footsteps.changes
             self._step_status_due = manager.time + round(STEP_STATUS_PERIOD * 1e9)
-            self._step_status.publish(manager.footstep_handler.status(manager.time))
+            self._step_status.publish(self._footsteps.status(manager.time))
         self._report_hands()
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes
@@ -223,55 +204,19 @@ class MotionManagerService:
     def _counts(self) -> tuple[int, int]:
         """What was refused and what was missed, since start."""
         manager = self._manager
+        inputs = (self._proprioceptor, *self._commands, *self._requests)
         commands = [item for item in self._commands if isinstance(item, bifrost.Subscriber)]
-        rejected = (
-            manager.rejections.total
-            + sum(subscriber.rejected for subscriber in commands)
-            + self._proprioceptor.rejected
-            + self._behavior.rejected
-            + self._footstep_plan.rejected
-        )
+        rejected = manager.rejections.total + sum(item.rejected for item in inputs)
         return rejected, manager.missed + sum(subscriber.drops for subscriber in commands)
 
-    # --- what comes in, handed to those that check it -------------------------------------------------------------
-
-    def _next(self, subscriber: bifrost.Subscriber[M]) -> list[bifrost.Received[M]]:
-        """What is dealt with in this turn of the commands of one topic."""
-        return subscriber.drain(COMMANDS_AT_ONCE, self._commands_end - time.monotonic())
-
-    def _take_setpoints(self) -> None:
-        manager = self._manager
-        for received in self._next(self._setpoints):
-            manager.setpoints_handler.handle(received, manager.time, manager.custody.since)
-
-    def _take_velocities(self) -> None:
-        for received in self._next(self._velocity):
-            self._manager.velocity_handler.handle(received, self._manager.time)
-
-    def _take_pelvis(self) -> None:
-        for received in self._next(self._pelvis):
-            self._manager.pelvis_handler.handle(received, self._manager.time)
-
-    def _take_hand_goals(self) -> None:
-        for received in self._next(self._hand_goal):
-            self._manager.hand_goal_handler.handle(received, self._manager.time)
-
-    def _take_gains(self) -> None:
-        for received in self._next(self._gains):
-            self._manager.tuning_handler.handle_gains(received)
-
-    def _take_weights(self) -> None:
-        for received in self._next(self._weights):
-            self._manager.tuning_handler.handle_weights(received)
-
-    def _hear_devices(self) -> None:
-        devices = self._devices.latest()
-        if devices is not None and devices.origin == DEVICES.owner:
-            self._manager.device_reactions.hear(devices.message)
+    def _take(self, handler: Handler[Any], subscriber: bifrost.Subscriber[Any]) -> None:
+        """Hand over what is dealt with in this turn of the messages of one topic."""
+        for received in subscriber.drain(COMMANDS_AT_ONCE, self._commands_end - time.monotonic()):
+            handler.handle(received, self._manager.time)
 
     def _report_hands(self) -> None:
         """On change, and every now and then while a goal leads a hand."""
-        goals, time = self._manager.hand_goals, self._manager.time
+        goals, time = self._manager.parts.hand_goals, self._manager.time
         changed = goals.changes != self._hand_changes
         due = goals.active and not self._hand_status_due - 1e9 < time < self._hand_status_due
         if changed or due:

@@ -8,7 +8,7 @@ import pytest
 from harness.walking_robot import Then, WalkingRobot
 from tests.unit.test_motion_manager_periods import ROBOT, N, Robot
 from valor.common.behaviors import INTERNAL_STATES, REFLEX, Behavior, Locomotion
-from valor.motion_manager.reflex import FAULTS, BalanceReflex
+from valor.motion_manager.reflex import FAULTY, BalanceReflex
 
 VELOCITY = (0.3, 0.0, 0.0)
 STEP = 0.66  # of a step at it [s]
@@ -88,7 +88,7 @@ def test_devices_that_demand_to_be_held_are_held_once_both_feet_stand(reflex: Ba
 def test_states_that_cannot_be_believed_end_it(reflex: BalanceReflex) -> None:
     robot = begun(reflex)
     reflex.update(robot.proprioceptor())
-    for _ in range(FAULTS):
+    for _ in range(round(FAULTY / ROBOT.control_period)):
         assert not reflex.done
         robot.check(reflex.update(robot.proprioceptor(joint_position=np.full(N, np.nan))))
     assert reflex.done

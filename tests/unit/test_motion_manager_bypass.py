@@ -9,6 +9,9 @@ from bifrost import Received
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
+from valor.motion_manager.handlers.hand_goal import HandGoalHandler
+from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from valor.motion_manager.handlers.tuning import BalanceWeightsHandler, JointGainsHandler
 from valor.motion_manager.hands.hand_goals import GRACE
 from valor.motion_manager.tuning_tables import Tuning
 
@@ -47,7 +50,7 @@ def goal(robot: Robot, position: object, **changes: object) -> HandGoal:
 
 
 def lead(robot: Robot, message: HandGoal, origin: str = "somebody") -> bool:
-    return robot.manager.hand_goal_handler.handle(Received(message, 0, 1, origin), robot.time)
+    return robot.manager.handler(HandGoalHandler).handle(Received(message, 0, 1, origin), robot.time)
 
 
 def refusal(robot: Robot) -> str:
@@ -57,17 +60,17 @@ def refusal(robot: Robot) -> str:
 def test_a_hand_goes_to_its_goal_and_says_so(robot: Robot) -> None:
     """Level, 0.4 m before the pelvis and 0.2 m above it; the other arm stays; no joint is too fast."""
     manager = robot.manager
-    before = manager._reference.position.copy()
+    before = manager.parts.reference.position.copy()
     assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2))))
     assert manager.report(0.0).right_arm == "hand_goal"
     assert manager.report(0.0).left_arm == "setpoints"
     set_points = []
     for _ in range(round(6.0 / ROBOT.control_period)):
         robot.tick()
-        set_points.append(manager._reference.position.copy())
-        if manager.hand_goals.status(1, 0).state == "reached":
+        set_points.append(manager.parts.reference.position.copy())
+        if manager.parts.hand_goals.status(1, 0).state == "reached":
             break
-    status = manager.hand_goals.status(1, robot.time)
+    status = manager.parts.hand_goals.status(1, robot.time)
     assert status.state == "reached", status
     assert status.position_error < 0.005
     rates = np.abs(np.diff(set_points, axis=0)) / ROBOT.control_period
@@ -79,9 +82,9 @@ def test_a_goal_out_of_reach_is_approached_and_stated(robot: Robot) -> None:
     assert lead(robot, goal(robot, np.array((2.0, -0.3, 0.2))))
     for _ in range(round(12.0 / ROBOT.control_period)):
         robot.tick()
-        if robot.manager.hand_goals.status(1, 0).state == "out_of_reach":
+        if robot.manager.parts.hand_goals.status(1, 0).state == "out_of_reach":
             break
-    status = robot.manager.hand_goals.status(1, 0)
+    status = robot.manager.parts.hand_goals.status(1, 0)
     assert status.state == "out_of_reach"
     assert status.position_error > 0.5
     assert "the right hand gets no nearer" in status.reason
@@ -94,8 +97,8 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
     def send() -> bool:
         names = [ROBOT.joints[i] for i in RIGHT]
         zeros = np.zeros(len(names))
-        message = JointSetpoints(robot.time, names, manager._reference.position[RIGHT], zeros, zeros)
-        return manager.setpoints_handler.handle(Received(message, 0, 1, "somebody"), robot.time, 0)
+        message = JointSetpoints(robot.time, names, manager.parts.reference.position[RIGHT], zeros, zeros)
+        return manager.handler(JointSetpointsHandler).handle(Received(message, 0, 1, "somebody"), robot.time)
 
     assert send()
     assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2))))
@@ -105,8 +108,8 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
     assert "the right arm follows a hand goal" in refusal(robot)
     assert not robot.ask(Behavior.STAND)
     robot.run(0.1)
-    assert not manager.hand_goals.active
-    assert manager.hand_goals.status(1, 0).reason == "the behavior is stand"
+    assert not manager.parts.hand_goals.active
+    assert manager.parts.hand_goals.status(1, 0).reason == "the behavior is stand"
 
 
 @pytest.mark.parametrize(
@@ -121,13 +124,13 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
     ],
 )
 def test_a_bad_goal_is_refused_and_nothing_moves(refusing: Robot, changes: dict[str, object], reason: str) -> None:
-    before = refusing.manager._reference.position.copy()
+    before = refusing.manager.parts.reference.position.copy()
     assert not lead(
         refusing, goal(refusing, **({"position": np.array((0.4, -0.3, 0.2))} | changes)), reason
     )  # told once an origin
     assert reason in refusal(refusing)
     refusing.run(0.1)
-    np.testing.assert_array_equal(refusing.manager._reference.position, before)
+    np.testing.assert_array_equal(refusing.manager.parts.reference.position, before)
 
 
 def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> None:
@@ -135,7 +138,7 @@ def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> 
     place, table = ROBOT.index[name], ROBOT.read(Tuning).gains
     nominal = ROBOT.servo_stiffness[place]
     message = JointGains([name], np.array((1e6,)), np.array((0.0,)))
-    assert robot.manager.tuning_handler.handle_gains(Received(message, 0, 1, "somebody"))
+    assert robot.manager.handler(JointGainsHandler).handle(Received(message, 0, 1, "somebody"), robot.time)
     stiffness = [nominal] + [robot.tick().stiffness[place] for _ in range(400)]
     assert np.abs(np.diff(stiffness)).max() < 0.01 * nominal
     assert stiffness[-1] == pytest.approx(table.max_stiffness * nominal)
@@ -155,21 +158,23 @@ def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> 
 )
 def test_bad_gains_are_refused(refusing: Robot, names: list[str], stiffness: tuple[float, ...], reason: str) -> None:
     message = JointGains(names, np.array(stiffness), np.ones(len(names)))
-    assert not refusing.manager.tuning_handler.handle_gains(Received(message, 0, 1, reason))  # told once an origin
+    assert not refusing.manager.handler(JointGainsHandler).handle(
+        Received(message, 0, 1, reason), 0
+    )  # told once an origin
     assert reason in refusal(refusing)
 
 
 def test_weights_go_gradually_and_end_with_the_balance(robot: Robot) -> None:
-    weights, handler = robot.manager._controller.weights, robot.manager.tuning_handler
-    assert handler.handle_weights(Received(BalanceWeights(["com"], np.array((1e9,))), 0, 1, "somebody"))
+    weights, handler = robot.manager.parts.controller.weights, robot.manager.handler(BalanceWeightsHandler)
+    assert handler.handle(Received(BalanceWeights(["com"], np.array((1e9,))), 0, 1, "somebody"), robot.time)
     robot.tick()
     assert weights.nominal[0] < weights.values[0] < 1.1 * weights.nominal[0]
     robot.run(1.0)
     assert weights.values[0] == pytest.approx(ROBOT.tables.weight_factor * weights.nominal[0])
-    assert not handler.handle_weights(Received(BalanceWeights(["luck"], np.ones(1)), 0, 1, "somebody"))
+    assert not handler.handle(Received(BalanceWeights(["luck"], np.ones(1)), 0, 1, "somebody"), robot.time)
     assert "unknown task 'luck'; expected com, angular_momentum" in refusal(robot)
     for behavior in (Behavior.STAND, Behavior.STAND_PREP):
         assert not robot.ask(behavior)
         robot.run(1.5)
-    assert not handler.handle_weights(Received(BalanceWeights(["com"], np.ones(1)), 0, 1, "somebody"))
+    assert not handler.handle(Received(BalanceWeights(["com"], np.ones(1)), 0, 1, "somebody"), robot.time)
     assert "obeyed while the robot balances" in refusal(robot)

@@ -8,6 +8,7 @@ import pytest
 from harness.closed_loop import load_robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest
+from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.manager import MotionManager
 from valor.robot.model import controller_model
 from valor.simulation.plant import Plant
@@ -45,7 +46,7 @@ class Robot:
 
     def go(self, behavior: Behavior) -> None:
         for _ in range(40):
-            reply = self.manager.behavior_handler.handle(BehaviorRequest(behavior), "test")
+            reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior), "test")
             if reply.accepted:
                 return
             self.run(0.1)

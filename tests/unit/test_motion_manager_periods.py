@@ -16,7 +16,11 @@ from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import BehaviorRequest, JointMode, JointSetpoints, Motor, Proprioceptor, VelocityCommand
-from valor.motion_manager.manager import FAULTS_TO_FALL, QP_FAILURES_TO_STOP, MotionManager
+from valor.motion_manager.handlers.behavior import BehaviorHandler
+from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from valor.motion_manager.handlers.velocity import VelocityHandler
+from valor.motion_manager.locomotion.balance import LONGEST_INFEASIBLE
+from valor.motion_manager.manager import FAULTY, MotionManager
 from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
@@ -93,7 +97,7 @@ class Robot:
 
     def ask(self, behavior: Behavior) -> str:
         """Request a behavior; returns the reason of a refusal."""
-        reply = self.manager.behavior_handler.handle(BehaviorRequest(behavior=behavior), "somebody")
+        reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior=behavior), "somebody")
         assert reply.accepted or reply.reason
         return "" if reply.accepted else reply.reason
 
@@ -304,12 +308,12 @@ def test_a_robot_that_is_found_lying_is_let_go(standing: Robot, found: dict[str,
 @pytest.fixture
 def stepping(standing: Robot) -> Robot:
     assert not standing.ask(Behavior.WALK)
-    standing.manager.velocity_handler.handle(
+    standing.manager.handler(VelocityHandler).handle(
         Received(VelocityCommand(standing.time, 0.2, 0.0, 0.0), 0, 1, "valor_ros_controller"), standing.time
     )
     for _ in range(1000):
         standing.tick()
-        if standing.manager.conditions().stepping:
+        if standing.manager.parts.conditions().stepping:
             break
     return standing
 
@@ -413,7 +417,7 @@ def test_one_broken_proprioceptor_is_refused_and_survived(standing: Robot, chang
 
 @pytest.mark.parametrize("changes", BROKEN)
 def test_broken_proprioceptors_in_a_row_are_a_fall(standing: Robot, changes: dict[str, object]) -> None:
-    for _ in range(FAULTS_TO_FALL):
+    for _ in range(round(FAULTY / ROBOT.control_period)):
         assert standing.behavior is Behavior.STAND
         motor = standing.tick(**changes)
     assert standing.behavior is Behavior.FALL
@@ -440,8 +444,8 @@ def test_a_robot_that_never_makes_sense_is_never_in_control(robot: Robot) -> Non
 
 def interfere(robot: Robot, change: Callable[[WholeBodyCommand], WholeBodyCommand]) -> None:
     """Spoil what the Whole-Body Controller commands."""
-    update = robot.manager._controller.update
-    robot.manager._controller.update = lambda *arguments: change(update(*arguments))  # type: ignore[method-assign]
+    update = robot.manager.parts.controller.update
+    robot.manager.parts.controller.update = lambda *arguments: change(update(*arguments))  # type: ignore[method-assign]
 
 
 def test_a_command_that_is_not_finite_never_leaves(standing: Robot) -> None:
@@ -450,7 +454,7 @@ def test_a_command_that_is_not_finite_never_leaves(standing: Robot) -> None:
     interfere(standing, lambda command: replace(command, effort=np.full(N, np.nan)))
     motor = standing.tick()
     assert np.array_equal(motor.effort, before.effort)
-    assert standing.manager._command.replaced == 1
+    assert standing.manager.parts.command.replaced == 1
 
 
 def test_efforts_beyond_the_limits_are_clamped_and_counted(standing: Robot) -> None:
@@ -463,7 +467,7 @@ def test_efforts_beyond_the_limits_are_clamped_and_counted(standing: Robot) -> N
 
 def test_an_infeasible_qp_leads_to_soft_stop_and_not_at_once(standing: Robot) -> None:
     interfere(standing, lambda command: replace(command, qp_status=QpStatus.INFEASIBLE))
-    for _ in range(QP_FAILURES_TO_STOP - 1):
+    for _ in range(round(LONGEST_INFEASIBLE / ROBOT.control_period) - 1):
         standing.tick()
         assert standing.behavior is Behavior.STAND
     standing.tick()
@@ -484,7 +488,7 @@ def test_an_error_of_ours_repeats_the_last_command_and_then_falls(standing: Robo
     motor = standing.tick()
     assert np.array_equal(motor.effort, before.effort)
     assert standing.behavior is Behavior.STAND
-    for _ in range(FAULTS_TO_FALL):
+    for _ in range(round(FAULTY / ROBOT.control_period)):
         motor = standing.tick()
     assert standing.behavior is Behavior.FALL
     assert not motor.effort.any()
@@ -515,9 +519,7 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
         elif event == "setpoint":
             position = np.full(1, data.draw(values))
             message = JointSetpoints(robot.time, ["neck_yaw"], position, np.zeros(1), np.zeros(1))
-            robot.manager.setpoints_handler.handle(
-                Received(message, 0, 1, "somebody"), robot.manager.time, robot.manager.custody.since
-            )
+            robot.manager.handler(JointSetpointsHandler).handle(Received(message, 0, 1, "somebody"), robot.manager.time)
         robot.run(0.04)
         assert robot.manager.custody.ours
 

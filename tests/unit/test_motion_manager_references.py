@@ -44,12 +44,12 @@ def test_a_foot_that_does_not_touch_has_no_part_in_the_centre_of_pressure(foot: 
     robot.run(1.0)
     assert not robot.ask(Behavior.STAND)
     robot.run(0.1)
-    state = robot.manager._state
+    state = robot.manager.parts.state
     assert state is not None
     np.testing.assert_allclose(state.cop_in_odom, [0.02, 0.0], atol=1e-9)
     for _ in range(100):
         robot.tick(**{f"{foot}_foot_wrench": np.zeros(6)})
-        state = robot.manager._state
+        state = robot.manager.parts.state
         assert state is not None
         if state.contacts.sum() == 1:
             break

@@ -15,7 +15,8 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Attention, Behavior, Manipulation
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
-from valor.motion_manager.handlers.joint_setpoints import AHEAD, STALE, JointSetpointsHandler
+from valor.motion_manager.handlers.handler import STALE
+from valor.motion_manager.handlers.joint_setpoints import AHEAD, JointSetpointsHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_goals import HandGoals
 from valor.motion_manager.joints.joint_reference import JointReference
@@ -51,7 +52,12 @@ class Bench:
         self.upper_body = UpperBody(ROBOT, self.reference)
         self.rejections = Rejections()
         self.handler = JointSetpointsHandler(
-            ROBOT, self.fsm, self.upper_body, HandGoals(MODEL, self.reference, ROBOT.nominal_posture), self.rejections
+            ROBOT,
+            self.fsm,
+            self.upper_body,
+            HandGoals(MODEL, self.reference, ROBOT.nominal_posture),
+            self.rejections,
+            taken_over=lambda: 5_000_000_000,
         )
         self.watch = Watch(ROBOT.nominal_posture)
         for step in PATH[behavior]:
@@ -62,7 +68,7 @@ class Bench:
         self.upper_body.enter(self.fsm.manipulation, self.fsm.attention, self.now * 1e-9)
 
     def send(self, message: JointSetpoints) -> bool:
-        return self.handler.handle(Received(message, 0, 1, "somebody"), self.now, taken_over=5_000_000_000)
+        return self.handler.handle(Received(message, 0, 1, "somebody"), self.now)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / ROBOT.control_period)):

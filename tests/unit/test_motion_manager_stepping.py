@@ -13,8 +13,10 @@ from tests.unit.test_motion_manager_footsteps import ahead, footstep
 from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import FootstepPlanRequest, Rejection, VelocityCommand
+from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
+from valor.motion_manager.handlers.handler import STALE
 from valor.motion_manager.handlers.rejections import Rejections
-from valor.motion_manager.handlers.velocity import STALE, VelocityHandler
+from valor.motion_manager.handlers.velocity import VelocityHandler
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.walking.footsteps import level_pose
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
@@ -105,7 +107,7 @@ def test_a_plan_that_is_stopped_before_it_began_ends_in_stand(path: tuple[Behavi
     for behavior in (Behavior.STAND, *path):
         assert not robot.ask(behavior)
         robot.tick()
-    plan = robot.manager.footstep_handler
+    plan = robot.manager.handler(FootstepPlanHandler)
     assert plan.handle(FootstepPlanRequest(steps=ahead(0, 3)), "somebody").accepted
     assert plan.handle(FootstepPlanRequest(steps=[]), "somebody").accepted
     robot.tick()
@@ -118,17 +120,17 @@ def test_a_plan_that_is_walked_to_its_end_ends_in_stand() -> None:
     assert robot.run_until(lambda: not robot.ask(Behavior.STAND), 10.0)
     assert not robot.ask(Behavior.STEP)
     robot.run(0.1)
-    place = robot.manager._soles()[0].position
+    place = robot.manager.parts.soles()[0].position
     step = footstep(0, 0, float(place[0]), float(place[1]), swing_duration=0.5, transfer_duration=0.3)
-    reply = robot.manager.footstep_handler.handle(FootstepPlanRequest(steps=[step]), "somebody")
+    reply = robot.manager.handler(FootstepPlanHandler).handle(FootstepPlanRequest(steps=[step]), "somebody")
     assert reply.accepted, reply.reason
     seen: list[str] = []
 
     def ended() -> bool:
-        seen.append(robot.manager.footstep_handler.status(0).state)
+        seen.append(robot.manager.handler(FootstepPlanHandler).status(0).state)
         return robot.behavior is not Behavior.STEP
 
     assert robot.run_until(ended, 10.0)
     assert (robot.behavior, robot.manager.fsm.reason) == (Behavior.STAND, "the footstep plan is done")
     assert (set(seen), seen[-1]) == ({"executing", "finished"}, "finished")
-    assert not robot.manager.conditions().stepping
+    assert not robot.manager.parts.conditions().stepping

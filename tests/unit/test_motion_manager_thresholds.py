@@ -18,8 +18,9 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
 from valor.common.rotation import NORM
 from valor.motion_manager.handlers.hand_goal import FARTHEST
-from valor.motion_manager.handlers.joint_setpoints import STALE
+from valor.motion_manager.handlers.handler import STALE
 from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.handlers.tuning import BalanceWeightsHandler
 from valor.motion_manager.hands.hand_contact import HandContacts
 from valor.motion_manager.joints.joint_gains import CHANGE_TIME, JointGains
 from valor.motion_manager.joints.posture_move import PostureMove
@@ -30,7 +31,7 @@ from valor.motion_manager.tuning_tables import Tuning
 TILT = UPRIGHT * ROBOT.read(Tuning).fall.tilt
 FOUND = Robot()
 FOUND.tick()
-STATE = FOUND.manager._state
+STATE = FOUND.manager.parts.state
 assert STATE is not None
 STANCE = Stance(ROBOT, WEIGHT)
 
@@ -186,25 +187,29 @@ def test_a_hand_goal_is_obeyed_within_its_limits(manipulating: Robot, changes: d
     wanted = {key: value for key, value in changes.items() if key != "age"}
     wanted = {"position": beside(0.3), "time": robot.time - round(1e9 * age)} | wanted
     for side in (0, 1):
-        robot.manager.hand_goals.release(side, "test")
+        robot.manager.parts.hand_goals.release(side, "test")
     assert lead(robot, goal(robot, **wanted), str(changes)) is obeyed  # type: ignore[arg-type]
     side = int(wanted.get("hand", 1))  # type: ignore[call-overload]
-    led = [robot.manager.hand_goals.leads(each) for each in (0, 1)]
+    led = [robot.manager.parts.hand_goals.leads(each) for each in (0, 1)]
     assert led == [obeyed and wanted.get("active", True) is True and each == side for each in (0, 1)]
     for each in (0, 1):
-        robot.manager.hand_goals.release(each, "test")
+        robot.manager.parts.hand_goals.release(each, "test")
 
 
 @pytest.mark.parametrize("weight", [-1e-9, np.nan, np.inf])
 def test_a_weight_is_a_finite_number_that_is_not_negative(manipulating: Robot, weight: float) -> None:
     manager = manipulating.manager
-    asked = manager._controller.weights.asked.copy()
+    asked = manager.parts.controller.weights.asked.copy()
     message = BalanceWeights(["com"], np.array((weight,)))
-    assert not manager.tuning_handler.handle_weights(Received(message, 0, 1, f"{weight}"))
-    assert not manager.tuning_handler.handle_weights(Received(BalanceWeights([], np.zeros(0)), 0, 1, f"none {weight}"))
-    np.testing.assert_array_equal(manager._controller.weights.asked, asked)
-    assert manager.tuning_handler.handle_weights(Received(BalanceWeights(["com"], np.zeros(1)), 0, 1, "zero"))
-    assert manager._controller.weights.asked[0] == manager._controller.weights.lower[0]
+    assert not manager.handler(BalanceWeightsHandler).handle(Received(message, 0, 1, f"{weight}"), 0)
+    assert not manager.handler(BalanceWeightsHandler).handle(
+        Received(BalanceWeights([], np.zeros(0)), 0, 1, f"none {weight}"), 0
+    )
+    np.testing.assert_array_equal(manager.parts.controller.weights.asked, asked)
+    assert manager.handler(BalanceWeightsHandler).handle(
+        Received(BalanceWeights(["com"], np.zeros(1)), 0, 1, "zero"), 0
+    )
+    assert manager.parts.controller.weights.asked[0] == manager.parts.controller.weights.lower[0]
 
 
 def test_refusals_are_told_apart_by_topic_sender_and_kind_and_remembered_within_bounds(

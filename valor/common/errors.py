@@ -13,6 +13,18 @@ class ConfigurationError(ValorError):
     """A file or a setting is missing or wrong: names the file, the key and what was expected."""
 
 
+class RefusalError(ValorError):
+    """A command that is not obeyed, and why.
+
+    Attributes:
+        kind: one word for what is wrong with it.
+    """
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(reason)
+        self.kind = kind
+
+
 def expected(value: str, known: Iterable[str], besides: str = "") -> str:
     """What to say of a value that is none of those known: which are, and which of them it nearly is.
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Self
 
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR
+from valor.motion_manager.handlers.handler import RequestHandler
 from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
 
 
-class BehaviorHandler:
+class BehaviorHandler(RequestHandler[BehaviorRequest, BehaviorReply]):
     """Asks the Behavior FSM on behalf of a client."""
+
+    topic = BEHAVIOR
 
     def __init__(
         self,
@@ -33,6 +38,11 @@ class BehaviorHandler:
         self._rejections = rejections
         self._conditions = conditions
         self._out_of_control = out_of_control
+
+    @classmethod
+    def of(cls, parts: Parts) -> Self:
+        """The one of a Motion Manager."""
+        return cls(parts.fsm, parts.rejections, parts.conditions, parts.custody.refusal)
 
     def handle(self, request: BehaviorRequest, origin: str) -> BehaviorReply:
         """Answer a request of the node ``origin``."""

@@ -10,14 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import hypot, isfinite
+from typing import Self
 
 import numpy as np
 
 from valor.common import rotation
 from valor.common.behaviors import Locomotion
+from valor.common.errors import RefusalError
 from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN
+from valor.motion_manager.handlers.handler import RequestHandler
 from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.walking.footsteps import Step
@@ -29,12 +33,17 @@ from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, StepRule
 TOGETHER = (0.02, 0.05)  # feet so well side by side are together [m, rad]
 
 
-class PlanError(Exception):
+class PlanError(RefusalError):
     """A plan that is not taken, and why."""
 
+    def __init__(self, reason: str) -> None:
+        super().__init__("plan", reason)
 
-class FootstepPlanHandler:
+
+class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]):
     """Answers plans, and says how the running one fares."""
+
+    topic = FOOTSTEP_PLAN
 
     def __init__(
         self,
@@ -65,12 +74,24 @@ class FootstepPlanHandler:
         self._soles = soles
         self._recovering = recovering
 
+    @classmethod
+    def of(cls, parts: Parts) -> Self:
+        """The one of a Motion Manager."""
+        return cls(
+            parts.robot,
+            parts.fsm,
+            parts.step_queue,
+            parts.rejections,
+            parts.soles,
+            recovering=lambda: parts.controller.recovering,
+        )
+
     def handle(self, request: FootstepPlanRequest, origin: str) -> FootstepPlanReply:
         """Answer a plan of the node ``origin``: taken whole, or refused and nothing has changed."""
         try:
             self._take(request.steps, origin)
         except PlanError as refusal:
-            self._rejections.add(FOOTSTEP_PLAN.name, origin, "plan", str(refusal))
+            self._rejections.add(FOOTSTEP_PLAN.name, origin, refusal.kind, str(refusal))
             return FootstepPlanReply(accepted=False, behavior=self._fsm.behavior, reason=str(refusal))
         return FootstepPlanReply(accepted=True, behavior=self._fsm.behavior, reason="")
 

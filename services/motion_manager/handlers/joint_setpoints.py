@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from bifrost import Received
+from valor.common.errors import RefusalError
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
+from valor.motion_manager.handlers.handler import STALE, Handler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
 from valor.motion_manager.joints.joint_reference import Setpoint
 from valor.motion_manager.joints.upper_body import UpperBody
+from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 
-STALE = 0.5  # a set-point for a state older than this is refused [s of robot time]
-AHEAD = 0.1  # likewise one for a state that is so far from having been [s of robot time]
+AHEAD = 0.1  # a set-point for a state that is so far from having been is refused [s of robot time]
 _LAYOUTS = 64  # name lists remembered
-
-
-class RefusalError(Exception):
-    """A message that is not followed: what kind of fault, and the reason for a person."""
-
-    def __init__(self, kind: str, reason: str) -> None:
-        super().__init__(reason)
-        self.kind = kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +40,14 @@ class Layout:
     limits: CommandedLimits  # of these joints
 
 
-class JointSetpointsHandler:
+class JointSetpointsHandler(Handler[JointSetpoints]):
     """Checks set-points, brings them within the limits and hands them to the upper body.
 
     They are stale or not by robot time, which all computers share; a Proprioceptor that was before this Motion
     Manager took the robot over makes them as stale as an old one.
     """
+
+    topic = JOINT_SETPOINTS
 
     def __init__(
         self,
@@ -58,35 +56,39 @@ class JointSetpointsHandler:
         upper_body: UpperBody,
         hand_goals: HandGoals,
         rejections: Rejections,
+        *,
+        taken_over: Callable[[], int],
     ) -> None:
+        """``taken_over``: gives the robot time at which this Motion Manager took the robot over [ns]."""
+        super().__init__(rejections)
         self._index = robot.index
         self._limits = CommandedLimits.of_joints(robot)
         self._fsm = fsm
         self._upper_body = upper_body
-        self._rejections = rejections
+        self._taken_over = taken_over
         self._hand_goals = hand_goals
         self._arms = [set(robot.group_indices(f"{side}_arm").tolist()) for side in SIDES]
         self._layouts: dict[tuple[str, ...], Layout] = {}
         self._layout_before: Layout | None = None  # of the message before
 
-    def handle(self, received: Received[JointSetpoints], now: int, taken_over: int) -> bool:
-        """Follow a message or refuse it; returns whether it is followed.
+    @classmethod
+    def of(cls, parts: Parts) -> Self:
+        """The one of a Motion Manager."""
+        custody = parts.custody
+        return cls(
+            parts.robot,
+            parts.fsm,
+            parts.upper_body,
+            parts.hand_goals,
+            parts.rejections,
+            taken_over=lambda: custody.since,
+        )
 
-        Args:
-            received: the message and its envelope.
-            now: robot time [ns].
-            taken_over: robot time at which this Motion Manager took the robot over [ns].
-        """
-        try:
-            self._follow(received.message, now, taken_over)
-        except RefusalError as refusal:
-            self._rejections.add(JOINT_SETPOINTS.name, received.origin, refusal.kind, str(refusal))
-            return False
-        return True
-
-    def _follow(self, message: JointSetpoints, now: int, taken_over: int) -> None:
+    def obey(self, received: Received[JointSetpoints], now: int) -> None:
+        """Have joints follow."""
+        message = received.message
         layout = self._layout(message.names)
-        self._check_time(message.time, now, taken_over)
+        self._check_time(message.time, now)
         count = layout.joints.size
         position, velocity, acceleration = message.position, message.velocity, message.acceleration
         if not len(position) == len(velocity) == len(acceleration) == count:
@@ -115,11 +117,11 @@ class JointSetpointsHandler:
         )
         self._upper_body.follow(layout.machines, setpoint, now * 1e-9)
 
-    def _check_time(self, time: int, now: int, taken_over: int) -> None:
+    def _check_time(self, time: int, now: int) -> None:
         age = (now - time) * 1e-9
         if age > STALE:
             raise RefusalError("stale", f"stale: made for a state {age:.3f} s old; expected at most {STALE} s")
-        if time < taken_over:
+        if time < self._taken_over():
             raise RefusalError("taken_over", "stale: made before this Motion Manager took the robot over")
         if age < -AHEAD:
             raise RefusalError("ahead", f"made for a state {-age:.3f} s ahead of robot time; another world's?")

@@ -6,94 +6,102 @@ Stand Prep begins with the values of robot.yaml again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from bifrost import Float64Array, Received
+from valor.common.errors import RefusalError
 from valor.common.messages import BalanceWeights as BalanceWeightsMessage
 from valor.common.messages import JointGains as JointGainsMessage
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS
+from valor.motion_manager.handlers.handler import Handler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.joints.joint_gains import JointGains
+from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.tasks.table import WEIGHTS
 from valor.motion_manager.whole_body.tasks.weights import TaskWeights
 from valor.robot.description import RobotDescription
 
-
-class RefusalError(Exception):
-    """A message that is not obeyed, and why."""
+KIND = "tuning"  # of every refusal
 
 
-class TuningHandler:
-    """Checks gains and weights and hands them to those who use them."""
+class JointGainsHandler(Handler[JointGainsMessage]):
+    """Hands gains to those who use them."""
 
-    def __init__(
-        self,
-        robot: RobotDescription,
-        fsm: BehaviorFsm,
-        gains: JointGains,
-        weights: TaskWeights,
-        rejections: Rejections,
-    ) -> None:
+    topic = JOINT_GAINS
+
+    def __init__(self, robot: RobotDescription, fsm: BehaviorFsm, gains: JointGains, rejections: Rejections) -> None:
+        super().__init__(rejections)
         self._index = robot.index
         self._fsm = fsm
         self._gains = gains
-        self._weights = weights
-        self._rejections = rejections
 
-    def handle_gains(self, received: Received[JointGainsMessage]) -> bool:
-        """Obey or refuse; returns whether it is obeyed."""
+    @classmethod
+    def of(cls, parts: Parts) -> Self:
+        """The one of a Motion Manager."""
+        return cls(parts.robot, parts.fsm, parts.gains, parts.rejections)
+
+    def obey(self, received: Received[JointGainsMessage], now: int) -> None:
+        """Have these gains."""
         message, gains = received.message, self._gains
-        try:
-            joints = self._places(message.names, self._index, "joint")
-            _check_numbers(message.names, stiffness=message.stiffness, damping=message.damping)
-            for name, joint in zip(message.names, joints.tolist(), strict=True):
-                if not gains.impedance[joint]:
-                    raise RefusalError(f"joint {name!r} is not driven by impedance: it has no gains to change")
-        except RefusalError as refusal:
-            self._rejections.add(JOINT_GAINS.name, received.origin, "gains", str(refusal))
-            return False
+        joints = _places(self._fsm, message.names, self._index, "joint")
+        _check_numbers(message.names, stiffness=message.stiffness, damping=message.damping)
+        for name, joint in zip(message.names, joints.tolist(), strict=True):
+            if not gains.impedance[joint]:
+                raise RefusalError(KIND, f"joint {name!r} is not driven by impedance: it has no gains to change")
         gains.ask(
             joints,
             np.clip(message.stiffness, gains.lower_stiffness[joints], gains.upper_stiffness[joints]),
             np.clip(message.damping, gains.lower_damping[joints], gains.upper_damping[joints]),
         )
-        return True
 
-    def handle_weights(self, received: Received[BalanceWeightsMessage]) -> bool:
-        """Obey or refuse; returns whether it is obeyed."""
+
+class BalanceWeightsHandler(Handler[BalanceWeightsMessage]):
+    """Hands weights to those who use them."""
+
+    topic = BALANCE_WEIGHTS
+
+    def __init__(self, fsm: BehaviorFsm, weights: TaskWeights, rejections: Rejections) -> None:
+        super().__init__(rejections)
+        self._fsm = fsm
+        self._weights = weights
+
+    @classmethod
+    def of(cls, parts: Parts) -> Self:
+        """The one of a Motion Manager."""
+        return cls(parts.fsm, parts.controller.weights, parts.rejections)
+
+    def obey(self, received: Received[BalanceWeightsMessage], now: int) -> None:
+        """Have these weights."""
         message, weights = received.message, self._weights
-        try:
-            places = self._places(message.names, {task: i for i, task in enumerate(WEIGHTS)}, "task")
-            _check_numbers(message.names, weights=message.weights)
-        except RefusalError as refusal:
-            self._rejections.add(BALANCE_WEIGHTS.name, received.origin, "weights", str(refusal))
-            return False
+        places = _places(self._fsm, message.names, {task: i for i, task in enumerate(WEIGHTS)}, "task")
+        _check_numbers(message.names, weights=message.weights)
         asked = weights.asked.copy()
         asked[places] = np.clip(message.weights, weights.lower[places], weights.upper[places])
         weights.ask(asked)
-        return True
 
-    def _places(self, names: Sequence[str], known: dict[str, int], what: str) -> npt.NDArray[np.intp]:
-        """Where the named ones stand.
 
-        Raises:
-            RefusalError: nobody balances, or a name is unknown or stands twice.
-        """
-        if not self._fsm.behavior.operational:
-            raise RefusalError(f"obeyed while the robot balances; it is in behavior {self._fsm.behavior}")
-        if not names:
-            raise RefusalError(f"names no {what}")
-        for i, name in enumerate(names):
-            if name not in known:
-                listed = f"; expected {', '.join(known)}" if len(known) < 10 else ""
-                raise RefusalError(f"unknown {what} {name[:64]!r}{listed}")
-            if name in names[:i]:
-                raise RefusalError(f"{what} {name!r} is named twice")
-        return np.array([known[name] for name in names], dtype=np.intp)
+def _places(fsm: BehaviorFsm, names: Sequence[str], known: Mapping[str, int], what: str) -> npt.NDArray[np.intp]:
+    """Where the named ones stand.
+
+    Raises:
+        RefusalError: nobody balances, or a name is unknown or stands twice.
+    """
+    if not fsm.behavior.operational:
+        raise RefusalError(KIND, f"obeyed while the robot balances; it is in behavior {fsm.behavior}")
+    if not names:
+        raise RefusalError(KIND, f"names no {what}")
+    for i, name in enumerate(names):
+        if name not in known:
+            listed = f"; expected {', '.join(known)}" if len(known) < 10 else ""
+            raise RefusalError(KIND, f"unknown {what} {name[:64]!r}{listed}")
+        if name in names[:i]:
+            raise RefusalError(KIND, f"{what} {name!r} is named twice")
+    return np.array([known[name] for name in names], dtype=np.intp)
 
 
 def _check_numbers(names: Sequence[str], **vectors: Float64Array) -> None:
@@ -104,7 +112,9 @@ def _check_numbers(names: Sequence[str], **vectors: Float64Array) -> None:
     """
     for what, vector in vectors.items():
         if vector.shape != (len(names),):
-            raise RefusalError(f"{what} has {vector.size} numbers for {len(names)} names")
+            raise RefusalError(KIND, f"{what} has {vector.size} numbers for {len(names)} names")
         for name, value in zip(names, vector.tolist(), strict=True):
             if not 0.0 <= value < np.inf:
-                raise RefusalError(f"{what} of {name!r} is {value:g}; expected a finite number that is not negative")
+                raise RefusalError(
+                    KIND, f"{what} of {name!r} is {value:g}; expected a finite number that is not negative"
+                )

@@ -2,41 +2,46 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 
 from bifrost import Received
 from valor.common.behaviors import Locomotion
+from valor.common.errors import RefusalError
 from valor.common.messages import VelocityCommand
 from valor.common.topics import VELOCITY
+from valor.motion_manager.handlers.handler import Handler, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 
-STALE = 0.5  # a velocity for a state older than this is refused [s of robot time]
 
-
-class VelocityHandler:
+class VelocityHandler(Handler[VelocityCommand]):
     """Checks velocities and hands them to the steps on line, which clamp them to what the robot can do."""
 
+    topic = VELOCITY
+
     def __init__(self, fsm: BehaviorFsm, steps: VelocitySteps, rejections: Rejections) -> None:
+        super().__init__(rejections)
         self._fsm = fsm
         self._steps = steps
-        self._rejections = rejections
 
-    def handle(self, received: Received[VelocityCommand], now: int) -> bool:
-        """Follow a velocity or refuse it, at robot time ``now`` [ns]; returns whether it is followed."""
+    @classmethod
+    def of(cls, parts: Parts) -> Self:
+        """The one of a Motion Manager."""
+        return cls(parts.fsm, parts.velocity_steps, parts.rejections)
+
+    def obey(self, received: Received[VelocityCommand], now: int) -> None:
+        """Walk so."""
         message = received.message
         velocity = np.array((message.linear_x, message.linear_y, message.angular_z))
-        age = 1e-9 * (now - message.time)
         if self._fsm.locomotion is not Locomotion.WALK:
-            kind = "behavior"
-            reason = f"velocities are followed in behaviors walk and walk_manipulate; it is {self._fsm.behavior}"
-        elif not np.isfinite(velocity).all():
-            kind, reason = "number", f"velocity {velocity.tolist()} is not finite"
-        elif abs(age) > STALE:
-            kind, reason = "stale", f"made for a state {age:.3f} s old; expected at most {STALE} s"
-        else:
-            self._steps.command(velocity, 1e-9 * now)
-            return True
-        self._rejections.add(VELOCITY.name, received.origin, kind, reason)
-        return False
+            raise RefusalError(
+                "behavior", f"velocities are followed in behaviors walk and walk_manipulate; it is {self._fsm.behavior}"
+            )
+        if not np.isfinite(velocity).all():
+            raise RefusalError("number", f"velocity {velocity.tolist()} is not finite")
+        require_fresh(message.time, now)
+        self._steps.command(velocity, 1e-9 * now)

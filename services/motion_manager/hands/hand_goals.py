@@ -103,6 +103,11 @@ class HandGoals:
         arm.goal, arm.position, arm.reason = None, None, reason
         self._say(arm, "idle")
 
+    def release_all(self, reason: str) -> None:
+        """Likewise both."""
+        for side in range(len(SIDES)):
+            self.release(side, reason)
+
     def advance(self, state: RobotState, now: float, dt: float) -> None:
         """Go one control period; before the joint reference advances."""
         if not self.active:
