@@ -69,7 +69,7 @@ def test_every_table_knows_every_behavior(behavior: Behavior) -> None:
     assert behavior in MODES.behaviors
     assert behavior in RESUMED
     assert behavior in WAY_BACK
-    assert behavior in bands.COLORS
+    assert behavior.locomotion in bands.COLORS
 
 
 @pytest.mark.parametrize("behavior", Behavior)

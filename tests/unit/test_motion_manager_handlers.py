@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.conftest import ROBOTS
+from harness.places import ROBOTS
 from valor.common.behaviors import Locomotion
 from valor.common.topics import DEVICES, SERVICE_TOPICS, TOPICS
 from valor.motion_manager.handlers.handler import Handler

@@ -11,22 +11,24 @@ from matplotlib.patches import Patch
 
 from valor.analysis.recording import Recording
 from valor.common.arrays import FloatArray
-from valor.common.behaviors import Behavior
+from valor.common.behaviors import Behavior, Locomotion
 from valor.common.topics import MOTION_STATE
 
 HEIGHT = 0.05  # of the axes
 _OTHER = "#dde1e6"
-_B = Behavior
-COLORS: Mapping[str, str] = {
-    _B.IDLE: "#c9ced6", _B.STAND_PREP: "#e3d5a8", _B.STAND: "#b7d3ea", _B.STAND_MANIPULATE: "#bfe3cf",
-    _B.WALK: "#f1c8a5", _B.WALK_MANIPULATE: "#f4dd9a", _B.STEP: "#e8bfd4", _B.STEP_MANIPULATE: "#d9c3ec",
-    _B.SOFT_STOP: "#e6a5a0", _B.FREEZE: "#d98c86", _B.FALL: "#b55a52", _B.GET_UP: _OTHER,
+_L = Locomotion
+COLORS: Mapping[Locomotion, tuple[str, str]] = {
+    _L.IDLE: ("#c9ced6", _OTHER), _L.STAND_PREP: ("#e3d5a8", _OTHER), _L.STAND: ("#b7d3ea", "#bfe3cf"),
+    _L.WALK: ("#f1c8a5", "#f4dd9a"), _L.STEP: ("#e8bfd4", "#d9c3ec"), _L.SOFT_STOP: ("#e6a5a0", _OTHER),
+    _L.FREEZE: ("#d98c86", _OTHER), _L.FALL: ("#b55a52", _OTHER), _L.GET_UP: (_OTHER, _OTHER),
 }  # fmt: skip
+"""How the robot carries itself → the band while the arms are closed, and while they follow set-points."""
+_BEHAVIORS = {str(behavior): COLORS[behavior.locomotion][behavior.manipulating] for behavior in Behavior}
 
 
 def color(behavior: str) -> str:
     """Of a behavior's band."""
-    return COLORS.get(behavior, _OTHER)
+    return _BEHAVIORS.get(behavior, _OTHER)
 
 
 def keys(behaviors: Iterable[str]) -> list[Patch]:
