@@ -6,7 +6,6 @@ import importlib.util
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -44,15 +43,6 @@ def test_process_table_names_real_modules_and_processes(process) -> None:  # typ
     main = process.module if process.module.count(".") else f"{process.module}.__main__"
     assert importlib.util.find_spec(main), f"{process.name}: no module {main}"
     assert {*process.needs, *process.after, *process.spokesmen} <= {other.name for other in PROCESSES}
-
-
-def test_the_import_contracts_know_every_service_of_the_table() -> None:
-    contracts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    services = {process.module for process in PROCESSES if process.name != DAEMON}
-    arrows = next(contract for contract in contracts if contract["type"] == "layers")
-    assert services in [set(layer.split(" | ")) for layer in arrows["layers"]]
-    tools = next(contract for contract in contracts if contract["name"].startswith("Tools"))
-    assert services == set(tools["forbidden_modules"])
 
 
 def test_every_service_of_the_table_has_statistics_and_topics_name_their_publisher() -> None:

@@ -1,6 +1,6 @@
-"""What is written out of the tables and messages: tables of the documentation, and the messages' ROS twins.
+"""What is written out of the tables and messages: tables of the documentation, import contracts, ROS twins.
 
-``make tables`` writes them; a test says which of them are stale.
+``make tables`` writes them, and links the services' folders into ``valor``; a test says which of them are stale.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 
 from bifrost import Message, codec
 from valor.common.messages import JointMode, Motor
-from valor.common.processes import PROCESSES
-from valor.common.topics import CONTROL_RATE, SERVICE_TOPICS, TOPICS, Topic
+from valor.common.processes import DAEMON, PROCESSES
+from valor.common.topics import CONTROL_RATE, SERVICE_TOPICS, STATISTICS, TOPICS, Topic
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TWINS = REPOSITORY / "interfaces" / "valor_msgs" / "msg"
@@ -29,8 +29,8 @@ ROS_TYPES = {
     "float64[]": "float64[]",
     "uint8[]": "uint8[]",
 }
+_MODULES = [process.module for process in PROCESSES if process.name != DAEMON]
 CONSTANTS: dict[type[Message], type[IntEnum]] = {Motor: JointMode}
-_END = "<!-- end -->"
 _HEADER = """\
 std_msgs/Header header    # stamp: publication on the wall clock; frame_id: the node that published it
 uint64 bifrost_sequence
@@ -124,25 +124,42 @@ def services() -> str:
     )
 
 
-TABLES = {processes: "docs/architecture.md", topics: "docs/interfaces.md", services: "docs/interfaces.md"}
-"""Where each stands, between ``<!-- processes -->`` and ``<!-- end -->``."""
+def layer() -> str:
+    """The services' layer of the import contracts."""
+    return f'  "{" | ".join(_MODULES)}",\n'
+
+
+def insides() -> str:
+    """What no tool may import."""
+    return "".join(f'  "{each}",\n' for each in _MODULES)
+
+
+PLACES = {
+    processes: "docs/architecture.md",
+    topics: "docs/interfaces.md",
+    services: "docs/interfaces.md",
+    layer: "pyproject.toml",
+    insides: "pyproject.toml",
+}
+"""Where each stands, between a comment with its name and one that says ``end``."""
 
 
 def texts() -> dict[Path, str]:
     """Every file that is written, as it shall be.
 
     Raises:
-        ValueError: a page has no place for its table.
+        ValueError: a file has no place for what is written.
     """
     made = {TWINS / f"{topic.type.__name__}.msg": twin(topic.type) for topic in TOPICS}
-    for table, page in TABLES.items():
-        path = REPOSITORY / page
-        text, begin = made.get(path) or path.read_text(), f"<!-- {table.__name__}: by `make tables` -->\n"
-        before, found, behind = text.partition(begin)
-        _, ended, after = behind.partition(_END)
+    for written, place in PLACES.items():
+        path = REPOSITORY / place
+        comment, blank = ("<!-- {} -->\n", "\n") if path.suffix == ".md" else ("  # {}\n", "")
+        begin, end = comment.format(f"{written.__name__}: by `make tables`"), comment.format("end")
+        before, found, behind = (made.get(path) or path.read_text()).partition(begin)
+        _, ended, after = behind.partition(end)
         if not found or not ended:
-            raise ValueError(f"{page}: expected {begin.strip()}, then the table, then {_END}")
-        made[path] = f"{before}{begin}\n{table()}\n{_END}{after}"
+            raise ValueError(f"{place}: expected {begin.strip()}, then what is written, then {end.strip()}")
+        made[path] = f"{before}{begin}{blank}{written()}{blank}{end}{after}"
     return made
 
 
@@ -160,7 +177,16 @@ def _table(head: Sequence[str], rows: Iterator[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rows))
 
 
+def link() -> None:
+    """Let every service of the table be found in ``valor``."""
+    for name in STATISTICS:
+        path = REPOSITORY / "valor" / name
+        if not path.is_symlink():
+            path.symlink_to(Path("..") / "services" / name)
+
+
 if __name__ == "__main__":
+    link()
     for path, text in texts().items():
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
