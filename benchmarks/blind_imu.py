@@ -6,12 +6,7 @@ profile ``hardware``. ``services/comms_manager/hardware/watch.py`` takes its lim
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.messages import Proprioceptor

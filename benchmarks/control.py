@@ -14,18 +14,14 @@ import argparse
 import functools
 import gc
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which the tests share
 
 import numpy as np
-import pushes
-import walks
 
+from benchmarks import pushes, walks
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription

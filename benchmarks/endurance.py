@@ -13,10 +13,8 @@ import gc
 import os
 import sys
 import time
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for the robots' folder, which the tests share
 
 import numpy as np
 import psutil

@@ -32,7 +32,7 @@ def over_stairs(tables: RobotTables, stairs: Stairs) -> list[PlanStep]:
         slow = abs(z - height) > 0.0 or i == len(places) - 1
         lift, swing, sway = (SWING_HEIGHT, STEP_DURATION, SWAY_DURATION) if slow else (0.0, 0.0, 0.0)
         y = table.step_width * (0.5 - i % 2)
-        foot: Literal["left", "right"] = "right" if i % 2 else "left"
-        steps.append(PlanStep(foot=foot, x=x, y=y, z=z, swing_height=lift, step_duration=swing, sway_duration=sway))
+        side: Literal["left", "right"] = "right" if i % 2 else "left"
+        steps.append(PlanStep(foot=side, x=x, y=y, z=z, swing_height=lift, step_duration=swing, sway_duration=sway))
         height = z
     return steps

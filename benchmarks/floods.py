@@ -20,9 +20,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from live_system import SETTLING, started
 
 import bifrost
+from benchmarks.live_system import SETTLING, started
 from valor.common import membership
 from valor.common.instance import Instance
 from valor.common.messages import (
@@ -90,8 +90,14 @@ def ros_set_points(node: bifrost.Node, seconds: float) -> int:
     return _sent(lambda: publisher.publish(message), seconds, QUICK)
 
 
+def idle(node: bifrost.Node, seconds: float) -> int:
+    """Send nothing."""
+    time.sleep(seconds)
+    return 0
+
+
 FLOODS: dict[str, Callable[[bifrost.Node, float], int]] = {
-    "nothing": lambda node, seconds: time.sleep(seconds) or 0,
+    "nothing": idle,
     "set-points": set_points,
     "latest values": latest_values,
     "requests": requests,

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for the closed loop, which the tests share
 
 from harness.closed_loop import load_robot
 from harness.plan_walk import Walked, walk_plan

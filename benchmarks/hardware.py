@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from live_system import push, started, valorctl
 from rich.console import Console
 from rich.table import Table
 
 import bifrost
+from benchmarks.live_system import push, started, valorctl
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import MotionState

@@ -15,11 +15,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from live_system import System, running
 from rich.console import Console
 from rich.table import Table
 
 import bifrost
+from benchmarks.live_system import System, running
 from valor.common.instance import Instance
 from valor.common.messages import Statistics
 from valor.common.topics import HDT_COMMANDS, HDT_STATES, STATISTICS

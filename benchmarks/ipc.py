@@ -25,12 +25,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-from interprocess import growth, latency
-from interprocess.ends import End, serve
-from interprocess.payloads import SIZES
-from interprocess.transports import TRANSPORTS
-
 import bifrost
+from benchmarks.interprocess import growth, latency
+from benchmarks.interprocess.ends import End, serve
+from benchmarks.interprocess.payloads import SIZES
+from benchmarks.interprocess.transports import TRANSPORTS
 
 HEADER = ("transport", "over", "median", "99 %", "mean", "sd", "ratio", "CPU", "received/s", "lost", "busy")
 ROW = "{:<20}{:<16}{:>8}{:>9}{:>8}{:>9}{:>7}{:>8}{:>12}{:>7}{:>6}"

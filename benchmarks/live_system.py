@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from observer import Observer
 
 import bifrost
+from benchmarks.observer import Observer
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import PushRequest

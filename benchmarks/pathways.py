@@ -31,11 +31,11 @@ from typing import Any
 import numpy as np
 import psutil
 import zmq
-from live_system import started
 from rich.console import Console
 from rich.table import Table
 
 import bifrost
+from benchmarks.live_system import started
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import JointSetpoints, Statistics

@@ -169,7 +169,8 @@ def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
         outcomes: dict[float, list[tuple[str, Outcome]]] = {impulse: [] for impulse in IMPULSES}
         loop = standing(load_robot(name), profile, seed)
         walk = loop.controller.step_source = VelocitySteps(loop.robot.tables.walking)
-        period, began, phase, swinging = 2.0 * sum(walk.durations(np.array((SPEED, 0.0, 0.0)))), np.inf, 0, 0
+        period, began, phase = 2.0 * sum(walk.durations(np.array((SPEED, 0.0, 0.0)))), np.inf, 0
+        swinging: int | None = 0
         directions = list(DIRECTIONS.items())
         while phase < PHASES and loop.fall is None:
             go(loop, walk)

@@ -19,10 +19,10 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 import psutil
-from live_system import started
 from mcap.reader import make_reader
 
 import bifrost
+from benchmarks.live_system import started
 from valor.analysis.process_statistics import Sampler
 from valor.common.errors import ValorError
 from valor.common.instance import Instance

@@ -22,10 +22,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for the tests' network
+from typing import IO, Any
 
 import zmq
 
@@ -237,7 +236,7 @@ def garbage(net: BifrostNetwork, folder: Path, alterations: int, seed: int) -> t
     files = [path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file() and ".git" not in path.parts]
     peers = [net.peer(role, topic, "10") for role, topic in (("publish", TOPIC), ("latch", "lab/latched"))]
     peers.append(net.peer("serve", SERVICE))
-    processes = [net.daemon, *(peer.process for peer in peers)]
+    processes: list[subprocess.Popen[Any]] = [net.daemon, *(peer.process for peer in peers)]
     targets = [port for process in processes for port in ports(process.pid)]
     chance = random.Random(seed)
     thrown = 0
@@ -261,7 +260,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.role:
         role, *arguments = options.role
-        {"publish": publish, "read": read, "serve": serve, "ask": ask}[role](*map(int, arguments))
+        roles: dict[str, Callable[..., None]] = {"publish": publish, "read": read, "serve": serve, "ask": ask}
+        roles[role](*map(int, arguments))
         return
     with tempfile.TemporaryDirectory() as folder:
         net = BifrostNetwork(Path(folder), range(20000, 30000))

@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from live_system import started, valorctl
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.live_system import started, valorctl
 from valor.analysis.pace import Pace
 from valor.bags import recordings
 from valor.common.errors import ValorError
@@ -74,7 +74,9 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
         while (now := time.monotonic()) < began + seconds:
             time.sleep(0.25)
             if now < began:
-                for subscriber in (states, truths, *statistics.values()):
+                states.drain()
+                truths.drain()
+                for subscriber in statistics.values():
                     subscriber.drain()
                 continue
             heard = [received.message for received in states.drain()]

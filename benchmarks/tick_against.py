@@ -120,7 +120,7 @@ def compare(ticker: Ticker, peers: list[subprocess.Popen[bytes]], seconds: float
         given[:] = [getattr(measured, name) for name in measured.__struct_fields__]
         return measured
 
-    loop.sensors.measure = watched  # type: ignore[method-assign]
+    loop.sensors.measure = watched  # type: ignore[method-assign, assignment]
     print("| part | this, p50 [µs] | other, p50 [µs] | this / other | largest difference of |")
     print("|---|---|---|---|---|")
     for part, speed in PARTS.items():

@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
-from live_system import System
 
 import bifrost
+from benchmarks.live_system import System
 from valor.common.errors import ValorError
 from valor.common.messages import GroundTruth, Proprioceptor
 from valor.common.poses import Pose

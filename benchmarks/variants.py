@@ -19,10 +19,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from live_system import running
 from mcap.reader import make_reader
-from trials import TRIALS, Bench, Values, told
 
+from benchmarks.live_system import running
+from benchmarks.trials import TRIALS, Bench, Values, told
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.topics import DEVICES, JOINT_SETPOINTS, TOPICS

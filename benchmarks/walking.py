@@ -24,10 +24,11 @@ from typing import Any, Self
 
 import msgspec
 import yaml
-from live_system import running
 from rich.console import Console
 from rich.table import Table
-from walking_actions import (
+
+from benchmarks.live_system import running
+from benchmarks.walking_actions import (
     ROBOT,
     Action,
     InTurn,
@@ -40,7 +41,6 @@ from walking_actions import (
     climb,
     straight_on,
 )
-
 from valor.analysis.walk import Figures
 from valor.bags.errors import BagError
 from valor.common import whole_file

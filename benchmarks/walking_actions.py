@@ -7,9 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
-from flights import over_stairs
-from live_system import System
-
+from benchmarks.flights import over_stairs
+from benchmarks.live_system import System
 from harness.places import ROBOTS
 from valor.common.behaviors import WALKING
 from valor.robot.description import RobotDescription

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from flights import over_stairs
 
+from benchmarks.flights import over_stairs
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose

@@ -7,7 +7,7 @@ real processes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from time import perf_counter
 
 import numpy as np
@@ -34,14 +34,14 @@ from valor.simulation.sensors import Sensors
 MODES = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
 
 
-def load_robot(name: str = "escher", **tables: dict[str, object] | float) -> RobotDescription:
+def load_robot(name: str = "escher", **tables: Mapping[str, object] | float) -> RobotDescription:
     """A robot, with values of some of its tables replaced: ``whole_body={"dcm_gain": 3.0}``, ``control_rate=1000``."""
     robot = RobotDescription.load(ROBOTS / name)
     if not tables:
         return robot
     content = plain(robot.tables)
     for table, values in tables.items():
-        if isinstance(values, dict):
+        if isinstance(values, Mapping):
             content[table].update(values)
         else:
             content[table] = values

@@ -17,8 +17,8 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from interprocess import transports
-from interprocess.transports import Place
+from benchmarks.interprocess import transports
+from benchmarks.interprocess.transports import Place
 
 SCRIPT = Path(__file__).resolve().parents[1] / "ipc.py"
 
@@ -84,8 +84,10 @@ class End:
         self._stopping = True
         for thread in self._threads:
             thread.join()
-        for end in (*self._senders.values(), *self._receivers.values()):
-            end.close()
+        for sender in self._senders.values():
+            sender.close()
+        for receiver in self._receivers.values():
+            receiver.close()
 
 
 def serve(address: str, kinds: Mapping[str, Callable[..., object]]) -> None:

@@ -15,8 +15,8 @@ import numpy as np
 import psutil
 
 import bifrost
-from interprocess.ends import Process
-from interprocess.payloads import Proprioceptor, proprioceptor
+from benchmarks.interprocess.ends import Process
+from benchmarks.interprocess.payloads import Proprioceptor, proprioceptor
 
 _CROWDS = 4  # processes that share the nodes of a crowd
 _PATIENCE = 120.0  # [s]

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import psutil
 
-from interprocess import transports
-from interprocess.ends import Process
+from benchmarks.interprocess import transports
+from benchmarks.interprocess.ends import Process
 
 REFERENCE = "pyzmq curve"
 THREADS = " (threads)"  # both ends in one process

@@ -44,7 +44,7 @@ class Proprioceptor(bifrost.Message):
 def proprioceptor() -> Proprioceptor:
     """One with numbers in it."""
     vectors = [np.random.default_rng(0).normal(size=n) for n in (*3 * (JOINTS,), 4, 3, 3, 6, 6, 6, 6)]
-    return Proprioceptor(1, 2, 3, *vectors, battery_voltage=48.0, motor_behavior="stand")
+    return Proprioceptor(*[1, 2, 3, *vectors, 48.0, "stand"])
 
 
 # Name to size [B]; those without types send that many bytes.

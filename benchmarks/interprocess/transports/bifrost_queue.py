@@ -1,7 +1,7 @@
 """Bifrost with a subscriber that takes every message."""
 
-from interprocess.transports import bifrost_typed
-from interprocess.transports.bifrost_typed import Sender
+from benchmarks.interprocess.transports import bifrost_typed
+from benchmarks.interprocess.transports.bifrost_typed import Sender
 
 __all__ = ["Receiver", "Sender"]
 

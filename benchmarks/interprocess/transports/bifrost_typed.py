@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import bifrost
-from interprocess.payloads import SIZES, Block, Number, Proprioceptor, proprioceptor
-from interprocess.transports import Place
+from benchmarks.interprocess.payloads import SIZES, Block, Number, Proprioceptor, proprioceptor
+from benchmarks.interprocess.transports import Place
 
 _TYPES: dict[str, type[bifrost.Message]] = {"8 B": Number, "Proprioceptor": Proprioceptor}
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import ecal.nanobind_core as ecal
 
-from interprocess.payloads import SIZES
-from interprocess.transports import STAMP, Place
+from benchmarks.interprocess.payloads import SIZES
+from benchmarks.interprocess.transports import STAMP, Place
 
 
 def _topic(place: Place, payload: str) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 
 import iceoryx2
 
-from interprocess.payloads import SIZES
-from interprocess.transports import STAMP, Place
+from benchmarks.interprocess.payloads import SIZES
+from benchmarks.interprocess.transports import STAMP, Place
 
 iceoryx2.set_log_level_from_env_or(iceoryx2.LogLevel.Error)
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import lcm
 
-from interprocess.payloads import SIZES
-from interprocess.transports import STAMP, Place
+from benchmarks.interprocess.payloads import SIZES
+from benchmarks.interprocess.transports import STAMP, Place
 
 
 def _lcm(place: Place, payload: str) -> lcm.LCM:

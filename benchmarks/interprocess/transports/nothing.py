@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from interprocess.transports import Place
+from benchmarks.interprocess.transports import Place
 
 
 class Sender:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zmq
 
-from interprocess.transports import Place, pyzmq_bare
+from benchmarks.interprocess.transports import Place, pyzmq_bare
 
 
 class Sender(pyzmq_bare.Sender):

@@ -12,8 +12,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Int64, UInt8MultiArray
 
-from interprocess.payloads import SIZES
-from interprocess.transports import STAMP, Place
+from benchmarks.interprocess.payloads import SIZES
+from benchmarks.interprocess.transports import STAMP, Place
 
 _QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import zenoh
 
-from interprocess.payloads import SIZES
-from interprocess.transports import STAMP, Place
+from benchmarks.interprocess.payloads import SIZES
+from benchmarks.interprocess.transports import STAMP, Place
 
 
 def _session(listen: list[str], connect: list[str]) -> Any:
