@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 import bifrost
@@ -44,7 +46,8 @@ class Proprioceptor(bifrost.Message):
 def proprioceptor() -> Proprioceptor:
     """One with numbers in it."""
     vectors = [np.random.default_rng(0).normal(size=n) for n in (*3 * (JOINTS,), 4, 3, 3, 6, 6, 6, 6)]
-    return Proprioceptor(*[1, 2, 3, *vectors, 48.0, "stand"])
+    fields: list[Any] = [1, 2, 3, *vectors, 48.0, "stand"]
+    return Proprioceptor(*fields)
 
 
 # Name to size [B]; those without types send that many bytes.

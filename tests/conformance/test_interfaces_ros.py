@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import rclpy
@@ -208,7 +209,7 @@ SERVER = """
 
 
 @pytest.mark.parametrize("message", FIELDS, ids=lambda message: message.__name__)
-def test_fields_are_the_public_ones_in_their_order(message: type) -> None:
+def test_fields_are_the_public_ones_in_their_order(message: Any) -> None:
     assert list(message.get_fields_and_field_types().items()) == list(FIELDS[message].items())
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
@@ -111,7 +112,7 @@ def recorder(instance: RunningInstance) -> Path:
     return path
 
 
-def connect(path: Path, publisher: bifrost.Publisher[bifrost.M], message: bifrost.M) -> int:
+def connect(path: Path, publisher: bifrost.Publisher[Any], message: bifrost.Message) -> int:
     """Publish until the recorder hears: what comes before is lost, and rightly so. Returns how many it heard."""
     topic = "/bifrost/" + publisher.topic
     sent = []
@@ -194,7 +195,7 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
     assert instance.stop("bag_recorder") == 0
     action.destroy()
 
-    found: dict[str, list[tuple[int, object]]] = {}
+    found: dict[str, list[tuple[int, Any]]] = {}
     with AnyReader([path.parent]) as reader:  # opens by metadata.yaml, decodes by the definitions in the bag alone
         for connection, timestamp, data in reader.messages():
             found.setdefault(connection.topic, []).append((timestamp, reader.deserialize(data, connection.msgtype)))

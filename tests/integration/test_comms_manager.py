@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pytest
@@ -183,7 +183,7 @@ def test_lockstep_is_paced_to_real_time(instance: RunningInstance) -> None:
     after = time.perf_counter()
     robot = (end.time - begun.time) * 1e-9
     assert robot <= 2.0 * (after - before + BACKLOG) + 0.05
-    said = wait_until(lambda: (c := watch.clock()).time >= end.time and c, 30, "the clock's word on all of it")
+    said: Any = wait_until(lambda: (c := watch.clock()).time >= end.time and c, 30, "the clock's word on all of it")
     assert robot + said.slip - slip >= 2.0 * (after - between - BACKLOG - 0.25)  # what it lacks is slip, or is made up
 
 
@@ -310,7 +310,7 @@ def test_waits_out_a_stopped_controller_and_never_replays(instance: RunningInsta
         time.sleep(0.4)  # the stall is the subject of this test
         os.kill(process.pid, signal.SIGCONT)
         until = before.message.time + 1e9
-        after = wait_until(
+        after: Any = wait_until(
             lambda: (c := watch.clock.received()).message.time > until and c, 30, "1 s of robot time passes"
         )
         slip = after.message.slip - before.message.slip

@@ -71,7 +71,8 @@ class Case:
         deadline = time.monotonic() + 60.0 + 20.0 * seconds
         while time.monotonic() < deadline:
             bifrost.wait([states], timeout=0.5)
-            for subscriber, messages in zip((states, senses, truths), kept, strict=True):
+            pairs: Any = zip((states, senses, truths), kept, strict=True)
+            for subscriber, messages in pairs:
                 messages.extend(received.message for received in subscriber.drain())
             if kept[0] and kept[0][-1].time - kept[0][0].time >= seconds * 1e9:
                 break

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -125,7 +127,7 @@ def test_takes_a_footstep_plan_changes_it_on_the_way_and_stands(instance: Runnin
     reply = system.plan(longer)
     assert reply.accepted, reply.reason
     system.wait_behavior(Behavior.STAND, 120.0)
-    finished = wait_until(
+    finished: Any = wait_until(
         lambda: (status := system.status()) and status.state == "finished" and status, 10.0, "the plan finished"
     )
     assert finished

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,7 +20,7 @@ from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording, nearest
 from valor.bags.errors import BagError
 from valor.common.messages import JointSetpoints, MotionState, Motor, Proprioceptor
-from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -73,7 +74,7 @@ def test_a_missing_topic_is_named_with_those_that_are_there(file: Path) -> None:
 
 
 @pytest.mark.parametrize("topic", [PROPRIOCEPTOR, MOTION_STATE])
-def test_pictures_name_the_topic_that_they_miss(tmp_path: Path, topic: analysis_bag.Topic) -> None:
+def test_pictures_name_the_topic_that_they_miss(tmp_path: Path, topic: Topic[Any]) -> None:
     path = tmp_path / "poor.mcap"
     analysis_bag.write(path, ROBOT, without=topic)
     with pytest.raises(BagError, match=f"no messages on /bifrost/{topic.name};"):

@@ -19,10 +19,11 @@ from tests.unit.test_bag_csv import write as write_foreign
 from valor.analysis import pictures
 from valor.analysis.bag import Bag
 from valor.analysis.csv_export import MOST_NOTICES, _Notices
+from valor.analysis.errors import SignalError
 from valor.analysis.recording import Recording, recorded
 from valor.analysis.report import about
 from valor.analysis.results import Result
-from valor.analysis.signals import Signal, SignalError, common_rate
+from valor.analysis.signals import Signal, common_rate
 from valor.analysis.stored import StoredBag
 from valor.common.topics import PROPRIOCEPTOR
 

@@ -16,9 +16,10 @@ from harness.analysis_bag import write_messages
 from tests.unit.test_walk_report import COUNT, LATE, ROBOT, SPEED, walk
 from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording
-from valor.analysis.walk import MOVING, SHORTEST_PRINT, WALKING, Figures, Timeliness, Track, _stands, footprints
+from valor.analysis.walk import MOVING, SHORTEST_PRINT, Figures, Timeliness, Track, _stands, footprints
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import WALKING
 from valor.common.messages import ClockStatus, GroundTruth, MotionState
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.model import full_model

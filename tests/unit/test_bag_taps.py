@@ -18,7 +18,6 @@ from valor_msgs.msg import VelocityCommand as Twin
 
 from harness.instance import RunningInstance
 from harness.waiting import wait_until
-from valor.bag_recorder import clock
 from valor.bag_recorder.bag import SHARE, Bag
 from valor.bag_recorder.bifrost_tap import BifrostTap
 from valor.bag_recorder.clock import WallClock, measure_offset
@@ -146,7 +145,7 @@ def test_the_offset_is_read_between_the_two_looks_that_lie_closest(monkeypatch: 
     def time_ns() -> int:
         return HOUR + now + int(gaps[asked % 20]) // 4  # a quarter of the gap has passed
 
-    monkeypatch.setattr(clock.time, "monotonic_ns", monotonic_ns)
-    monkeypatch.setattr(clock.time, "time_ns", time_ns)
+    monkeypatch.setattr("valor.bag_recorder.clock.time.monotonic_ns", monotonic_ns)
+    monkeypatch.setattr("valor.bag_recorder.clock.time.time_ns", time_ns)
     assert measure_offset() == HOUR + 250_000 - 500_000
     assert asked == 20

@@ -205,10 +205,10 @@ def test_arrays_that_are_not_contiguous_are_sent_in_order() -> None:
 class Marked(bifrost.Message):
     """Arrays by the mark alone: what stands before it is as unlike NumPy's aliases as it may become."""
 
-    reals: Annotated[object, ArrayKind.FLOAT64]
-    octets: Annotated[object, ArrayKind.UINT8]
-    many: list[Annotated[object, ArrayKind.UINT8]]
-    maybe: Annotated[object, ArrayKind.FLOAT64] | None
+    reals: Annotated[Any, ArrayKind.FLOAT64]
+    octets: Annotated[Any, ArrayKind.UINT8]
+    many: list[Annotated[Any, ArrayKind.UINT8]]
+    maybe: Annotated[Any, ArrayKind.FLOAT64] | None
 
 
 def test_an_array_is_known_by_its_mark_alone() -> None:

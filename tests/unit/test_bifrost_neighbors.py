@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from bifrost import directory as d
-from bifrost import neighbors as module
 from bifrost.neighbors import Neighbors, Watch
 from harness.examples import examples
 
@@ -95,7 +94,7 @@ class Model(RuleBasedStateMachine):
     @rule()
     def forget(self) -> None:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module.time, "monotonic", lambda: 1e12)
+            patch.setattr("bifrost.neighbors.time.monotonic", lambda: 1e12)
             self.neighbors.forget_departed()
         self.departed.clear()
 

@@ -104,7 +104,7 @@ def reflex() -> BalanceReflex:
 
 @pytest.fixture
 def devices(net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path) -> Iterator[Devices]:
-    reflex.active = False
+    reflex.done = True
     made = Devices(net, reflex, tmp_path / "behavior.json")
     made.measure()
     yield made

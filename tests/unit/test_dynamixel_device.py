@@ -248,7 +248,8 @@ def test_a_joint_that_is_knocked_is_believed(bench: Bench, speed: float) -> None
         return servo.take(Answer(data, 0, False), now * 1_000_000, shall_be_on=False)
 
     for until in range(0, period, 3):
-        servo = Servo(ROBOT.tables.devices["neck"].servos[YAW], "neck", YAW, ROBOT)
+        device: Any = ROBOT.tables.devices["neck"]
+        servo = Servo(device.servos[YAW], "neck", YAW, ROBOT)
         reached = 0.0
         for answer in range(25):
             if answer == 5:

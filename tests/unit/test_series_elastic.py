@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -23,7 +24,7 @@ from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-TABLE = ROBOT.tables.devices["legs"]
+TABLE: Any = ROBOT.tables.devices["legs"]
 assert isinstance(TABLE, SeaCanFd)
 NAMES = TABLE.joints
 OFFSET = np.array([ROBOT.tables.calibration.offsets.get(joint, 0.0) for joint in NAMES])

@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -21,7 +22,7 @@ from valor.valorctl.app import app, hoist_instance
 from valor.valorctl.control_mode import ModeChange, flag_names
 from valor.valorctl.environment import exports
 
-COMMAND = typer.main.get_command(app)
+COMMAND: Any = typer.main.get_command(app)
 
 
 def parsed(verb: str, *arguments: str) -> dict[str, object]:

@@ -69,8 +69,8 @@ def test_what_was_moved_out_of_a_full_logs_way_is_read_where_it_is_asked_for(ins
     comms.write_text(f"{begun}\n{COMMS}")
     with LogReader(instance, "comms_manager") as reader:
         assert texts(reader) == ["oldest", "older", "old", "two", "four"]
-        with open(comms, "a") as log:
-            log.write("2026-02-01 00:00:01,000 INFO comms_manager: six\n")
+        with open(comms, "a") as file:
+            file.write("2026-02-01 00:00:01,000 INFO comms_manager: six\n")
         assert texts(reader) == ["six"]
     with LogReader(instance, "comms_manager", datetime(2026, 1, 31, 23, 59, 54)) as reader:
         assert texts(reader) == ["older", "old", "two", "four", "six"]

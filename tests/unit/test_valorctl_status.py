@@ -51,9 +51,10 @@ def test_json_tells_both_windows() -> None:
 
 def shown(status: Status, width: int) -> list[str]:
     """What stands on a screen of that width."""
-    console = Console(width=width, highlight=False, file=StringIO())
+    screen = StringIO()
+    console = Console(width=width, highlight=False, file=screen)
     console.print(view(status))
-    return console.file.getvalue().splitlines()
+    return screen.getvalue().splitlines()
 
 
 BEGAN = time.time() - 44.0

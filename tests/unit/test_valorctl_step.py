@@ -13,8 +13,9 @@ from vigir_footstep_planning_msgs.msg import Step, StepPlan
 from harness.places import REPOSITORY, ROBOTS
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.poses import Pose, level
-from valor.footstep_converter.plan import Limits, convert
+from valor.footstep_converter.plan import convert
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import StepRule
 from valor.valorctl import step_picture
 from valor.valorctl.step_plan import FEET, PlanStep, load
 from valor.valorctl.step_planner import middle, plan_to
@@ -47,7 +48,7 @@ def message(steps: list[PlanStep]) -> StepPlan:
 @pytest.mark.parametrize("file", PLANS, ids=lambda file: file.stem)
 def test_every_example_is_a_good_plan(file: Path) -> None:
     steps = load(file).steps
-    assert len(convert(message(steps), Limits(TABLE, ROBOT.tables.feet))) == len(steps)
+    assert len(convert(message(steps), StepRule(TABLE, ROBOT.tables.feet))) == len(steps)
 
 
 def test_there_are_ten_examples() -> None:
@@ -69,7 +70,7 @@ def test_the_planner_ends_exactly_at_its_goal_within_the_limits(x: float, y: flo
     if not steps:
         assert math.hypot(x, y) < 1e-6
         return
-    taken = convert(message(steps), Limits(TABLE, ROBOT.tables.feet))
+    taken = convert(message(steps), StepRule(TABLE, ROBOT.tables.feet))
     feet = {step.foot: step.sole for step in taken[-2:]}
     end = middle(feet[0], feet[1])
     assert math.dist(end.position, (x, y, 0.0)) < 1e-9

@@ -15,8 +15,9 @@ from valor.simulation.worlds.dirt import Dirt
 from valor.simulation.worlds.stairs import Stairs
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-DIRT = worlds.WORLDS["dirt"]
-assert isinstance(DIRT, Dirt)
+_dirt = worlds.WORLDS["dirt"]
+assert isinstance(_dirt, Dirt)
+DIRT = _dirt
 
 
 def slope(height: np.ndarray) -> np.ndarray:

@@ -97,7 +97,7 @@ def stamp(message: Any) -> int:
     return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
 
-def ask(ros: RosClient, kind: type, service: str, /, **fields: Any) -> Any:
+def ask(ros: RosClient, kind: Any, service: str, /, **fields: Any) -> Any:
     """What a service answers."""
     client = ros.node.create_client(kind, service)
     try:

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.unit.whole_body.conftest import FloatArray, RandomState, random_states
+from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common import rotation
+from valor.common.arrays import FloatArray
 from valor.motion_manager.kernel import Expression
 from valor.motion_manager.tuning_tables import Tuning
 from valor.motion_manager.whole_body.balance.dcm import DcmLaw
