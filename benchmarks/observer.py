@@ -110,5 +110,7 @@ class Observer:
         """The true way of the pelvis: forward, left [m], turned [rad]."""
         first, last = self._truth[0], self._truth[-1]
         x, y = (last.pelvis_position_in_world - first.pelvis_position_in_world)[:2].tolist()
-        turned = heading(last.pelvis_orientation_in_world) - heading(first.pelvis_orientation_in_world)
+        turned = heading(last.pelvis_orientation_in_world.tolist()) - heading(
+            first.pelvis_orientation_in_world.tolist()
+        )
         return x, y, math.remainder(turned, 2.0 * math.pi)
