@@ -28,7 +28,7 @@ from valor.common.messages import (
     PushRequest,
 )
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.topics import CLOCK, GROUND_TRUTH, PROPRIOCEPTOR, PUSH, STATISTICS, Topic
+from valor.common.topics import CLOCK, GROUND_TRUTH, MOTOR, PROPRIOCEPTOR, PUSH, STATISTICS, Topic
 from valor.comms_manager.simulation.clock import BACKLOG
 from valor.robot.description import RobotDescription
 
@@ -202,6 +202,7 @@ def test_silence_holds_the_joints_and_a_new_motor_ends_it(instance: RunningInsta
     assert np.abs(later.joint_position - held.joint_position).max() < 0.05
     assert client.hear().motor_sequence == sent
     assert "held" in instance.log("comms_manager")
+    wait_until(lambda: watch.statistics().detail == f"{MOTOR.name}: silent", 30, "who is silent is named")
     # A Motion Manager that starts anew counts from one.
     fresh = ServoClient(node, ROBOT)
     fresh.answer_until(lambda s: s.time > later.time + 2e9 and not watch.clock().holding)
