@@ -65,7 +65,7 @@ def walked(behaviors: list[str], speeds: list[float]) -> Track:
     return Track.heard(made, measured, ROBOT)
 
 
-@pytest.mark.parametrize("behavior", WALKING)
+@pytest.mark.parametrize("behavior", sorted(WALKING))
 def test_a_walk_lasts_from_the_first_motion_to_the_last(behavior: str) -> None:
     slow, fast = 0.9 * MOVING, 1.1 * MOVING
     track = walked(["stand"] * 3 + [behavior] * 9 + ["stand"] * 3,
