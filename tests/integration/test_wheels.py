@@ -50,7 +50,7 @@ def test_the_wheel_of_the_project_holds_one_package_with_its_data_and_nothing_tw
 
 def test_the_wheel_of_bifrost_holds_bifrost_alone(dist: Path) -> None:
     names = zipfile.ZipFile(only(dist, "valor_bifrost-*.whl")).namelist()
-    modules = {f"bifrost/{file.name}" for file in (REPOSITORY / "bifrost").glob("*.py")}
+    modules = {str(file.relative_to(REPOSITORY)) for file in (REPOSITORY / "bifrost").rglob("*.py")}
     assert {name for name in names if ".dist-info/" not in name} == modules | {"bifrost/py.typed"}
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
