@@ -99,6 +99,14 @@ def test_a_publisher_that_begins_anew_is_not_blamed() -> None:
     assert bench.run(20, RATE) == {""}
     bench.robot = 0.0  # another robot
     assert bench.run(20, RATE) == {""}
+    bench.robot = 0.0
+    assert any(each.endswith(" of 500 Hz") for each in bench.run(10, 0.5 * RATE)), "it is looked at all the same"
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0, 5.0])
+def test_what_is_periodic_by_the_wall_clock_is_not_blamed_for_quick_robot_time(factor: float) -> None:
+    bench = Bench()
+    assert bench.run(10, RATE, steps=10.0 / factor, factor=factor) == {""}
 
 
 def test_what_is_refused_is_told_even_of_what_comes_on_demand() -> None:
