@@ -41,7 +41,7 @@ def test_it_is_for_robots_that_step_or_balance_on_one_foot(reflex: BalanceReflex
     locomotion = INTERNAL_STATES[Behavior(behavior)][0] if behavior in list(Behavior) else None
     robot = Robot()
     assert reflex.needed(behavior, robot.proprioceptor()) is (locomotion in STEPPING)
-    assert reflex.needed(behavior, robot.proprioceptor(**LIFTED)) is locomotion.balancing
+    assert reflex.needed(behavior, robot.proprioceptor(**LIFTED)) is (locomotion is not None and locomotion.balancing)
 
 
 def begun(reflex: BalanceReflex) -> Robot:
