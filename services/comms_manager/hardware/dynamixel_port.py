@@ -107,6 +107,8 @@ class StatusReader(GroupSyncRead):  # type: ignore[misc]
         self.port.setPacketTimeoutMillis(line_time + CYCLE_TIME)
         self.port.received = 0
         answers: dict[int, Answer] = {}
+        place_of = {servo: place for place, servo in enumerate(self.data_dict)}
+        place = 0  # of the newest answer
         try:
             while len(answers) < wanted:
                 frame, result = self.ph.rxPacket(self.port, False)
@@ -118,6 +120,9 @@ class StatusReader(GroupSyncRead):  # type: ignore[misc]
                     continue
                 answer = _answer(frame)
                 if frame[_ID] in self.data_dict and len(answer.data) == self.data_length:
+                    before, place = place, place_of[frame[_ID]]
+                    if place < before:  # servos answer in their order: what came before it answers an earlier request
+                        answers.clear()
                     answers[frame[_ID]] = answer
         finally:
             self.port.is_using = False
