@@ -11,7 +11,7 @@ from msgspec import structs
 
 from valor.common.instance import Settings
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.common.rotation import rotate
+from valor.common.rotation import conjugate, rotate
 from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
@@ -78,7 +78,7 @@ class SimulatedRobot:
             if not self.released:  # to MuJoCo it falls; who hangs from a gantry feels what holds him
                 w, x, y, z = self._measured.imu_orientation.tolist()
                 gx, gy, gz = self.plant.model.mj.opt.gravity.tolist()
-                self._measured.imu_linear_acceleration = np.array(rotate((w, -x, -y, -z), (-gx, -gy, -gz)))
+                self._measured.imu_linear_acceleration = np.array(rotate(conjugate((w, x, y, z)), (-gx, -gy, -gz)))
         return self._measured
 
     def power(self, joints: Places, on: bool) -> None:

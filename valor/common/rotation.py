@@ -63,6 +63,11 @@ def rotate(a: Quaternion, v: Vector) -> Vector:
     return x, y, z
 
 
+def vertical(a: Quaternion) -> Vector:
+    """Where the world's z axis points in what ``a`` is the attitude of."""
+    return rotate(conjugate(a), (0.0, 0.0, 1.0))
+
+
 def small(x: float, y: float, z: float) -> Quaternion:
     """The rotation by a rotation vector [rad] of less than about 0.3 rad (error below 1e-5)."""
     x, y, z = 0.5 * x, 0.5 * y, 0.5 * z

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor.common.rotation import Quaternion, about_z, multiply, rotate
+from valor.common.rotation import Quaternion, about_z, conjugate, multiply, vertical
 from valor.comms_manager.hardware.device import Device, ImuMeasurement
 
 FRESH = 20_000_000  # younger, two samples are of one time [ns]
@@ -53,10 +53,7 @@ class AttitudeSource:
 
 def tilt_between(a: ImuMeasurement, b: ImuMeasurement) -> float:
     """The angle between where two units have the vertical [rad]."""
-    ups = []
-    for sample in (a, b):
-        w, x, y, z = _quaternion(sample)
-        ups.append(rotate((w, -x, -y, -z), (0.0, 0.0, 1.0)))
+    ups = vertical(_quaternion(a)), vertical(_quaternion(b))
     return math.acos(max(-1.0, min(1.0, sum(p * q for p, q in zip(*ups, strict=True)))))
 
 
@@ -67,8 +64,7 @@ def _quaternion(sample: ImuMeasurement) -> Quaternion:
 
 def _heading(to: Quaternion, of: Quaternion) -> float:
     """The turn about the vertical that brings one attitude nearest to another [rad]."""
-    w, x, y, z = of
-    dw, _, _, dz = multiply(to, (w, -x, -y, -z))
+    dw, _, _, dz = multiply(to, conjugate(of))
     return 2.0 * math.atan2(dz, dw)
 
 

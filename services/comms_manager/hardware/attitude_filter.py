@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from valor.common.rotation import Quaternion, Vector, multiply, rotate
+from valor.common.rotation import Quaternion, Vector, multiply, unit, vertical
 
 GRAVITY = 9.80665  # [m/s²]
 TIME_CONSTANT = 10.0  # 1/k_P, in which a wrong tilt goes back to the accelerometers' by a factor of e [s]
@@ -60,8 +60,7 @@ class AttitudeFilter:
         """Whether the sensor is at rest, and tilted as before."""
         if self.orientation is None or math.hypot(*rate) > REST_RATE:
             return False
-        w, x, y, z = self.orientation
-        ux, uy, uz = rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
+        ux, uy, uz = vertical(self.orientation)
         fx, fy, fz = force
         across = math.hypot(fy * uz - fz * uy, fz * ux - fx * uz, fx * uy - fy * ux)
         return math.atan2(across, fx * ux + fy * uy + fz * uz) < AGREEMENT
@@ -88,8 +87,7 @@ def _about_horizontal(roll: float, pitch: float) -> Quaternion:
 
 def _turned(q: Quaternion, rate: Vector, force: Vector, elapsed: float) -> Quaternion:
     """The attitude after a time [s], turned by the rate and drawn towards where the specific force points up."""
-    w, x, y, z = q
-    ux, uy, uz = rotate((w, -x, -y, -z), (0.0, 0.0, 1.0))
+    ux, uy, uz = vertical(q)
     fx, fy, fz = force
     gain = 1.0 / (TIME_CONSTANT * max(math.hypot(fx, fy, fz), 0.1 * GRAVITY))
     turn = (
@@ -99,6 +97,4 @@ def _turned(q: Quaternion, rate: Vector, force: Vector, elapsed: float) -> Quate
     )
     angle = math.hypot(*turn)
     share = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-    w, x, y, z = multiply(q, (math.cos(0.5 * angle), share * turn[0], share * turn[1], share * turn[2]))
-    norm = math.hypot(w, x, y, z)
-    return w / norm, x / norm, y / norm, z / norm
+    return unit(multiply(q, (math.cos(0.5 * angle), share * turn[0], share * turn[1], share * turn[2])))

@@ -10,6 +10,8 @@ from valor.motion_manager.locomotion.posture_control import PostureControl
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.whole_body import RobotState
 
+JUST_BEGUN = "stand_prep has just begun"
+
 
 class Driver(ABC):
     """Drives the joints while the Locomotion FSM is in its state. Times are robot time [s]."""
@@ -34,7 +36,7 @@ class Driver(ABC):
 
     def not_prepared(self, state: RobotState, now: float) -> str:
         """Why the nominal posture is not reached; an empty text: it is."""
-        return "stand_prep has just begun"
+        return JUST_BEGUN
 
 
 class Drivers:
@@ -84,4 +86,4 @@ class Drivers:
 
     def not_prepared(self, state: RobotState, now: float) -> str:
         """Why the nominal posture is not reached; an empty text: it is."""
-        return self.current.not_prepared(state, now) if self.current else "stand_prep has just begun"
+        return self.current.not_prepared(state, now) if self.current else JUST_BEGUN

@@ -8,6 +8,8 @@ with e = sin(θ)·axis of the rotation from the actual to the desired one (``rot
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import casadi as ca
 
 from valor.common import rotation
@@ -25,9 +27,9 @@ class _Orientation(Task):
     weight = "orientation"
 
     @staticmethod
+    @abstractmethod
     def desired(reference: Reference) -> Expression:
         """(3, 3)."""
-        raise NotImplementedError
 
     def acceleration(self, period: Period, velocity: Expression, pose: Expression) -> Expression:
         """(3,) ω̇."""
