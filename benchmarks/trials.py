@@ -22,7 +22,7 @@ from valor.common.topics import GROUND_TRUTH, PROPRIOCEPTOR
 from valor.devices.dynamixel import Dynamixel
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
-from valor.valorctl import arm_motion, status, stepping
+from valor.valorctl import arm_motion, stepping, watch
 from valor.valorctl.arm_motion import SIDES, Limb, Side
 from valor.valorctl.step_planner import middle
 from valor.valorctl.walking import Order, walk
@@ -222,7 +222,7 @@ def pushes(bench: Bench) -> Values:
 
 def told(bench: Bench) -> Values:
     """What ``status`` and ``/diagnostics`` say when all is well: processes not ready, restarts, units not well."""
-    look = status.look(bench.instance)
+    look = watch.look(bench.instance)
     yield "real-time factor", bench.system.observer.timeliness()["real_time_factor"]
     yield "status: not ready, or restarted", sum(each.state != "ready" or each.restarts > 0 for each in look.services)
     if bench.variant == "hardware":

@@ -21,8 +21,9 @@ DATES = {
     "valor/valorctl/log_view.py": "since when logs are shown",
     "valor/valorctl/verbs/observation.py": "since when logs are shown",
     "valor/valorctl/experiments/experiment.py": "when an experiment was made",
-    "valor/valorctl/status.py": "since when a behavior lasts; how long a process runs, whose begin the kernel gives so",
+    "valor/valorctl/presence.py": "how long a process runs, whose begin the kernel gives so",
     "valor/valorctl/status_view.py": "since when a behavior lasts",
+    "valor/valorctl/watch.py": "since when a behavior lasts",
 }
 """Where dates are meant, and nothing that moves a robot or says who is alive."""
 

@@ -35,7 +35,7 @@ from valor.common.priority import take_turns
 from valor.common.topics import MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import is_reserved
-from valor.valorctl.status import look
+from valor.valorctl.watch import look
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
 TIMEOUT = 120.0  # of one call [s]
@@ -156,7 +156,7 @@ def watched(ctl: Cli) -> None:
 
 def soon(ctl: Cli) -> None:
     """Who asks waits for nothing that comes once a second: little more than its imports take."""
-    imports = "import valor.valorctl.status, valor.valorctl.status_view"
+    imports = "import valor.valorctl.watch, valor.valorctl.status_view"
 
     def took(*command: str | Path) -> float:
         began = time.monotonic()

@@ -94,10 +94,10 @@ def _obey(arguments: list[str]) -> None:
         from valor.valorctl.plain_command import plain_command
 
         if asked := plain_command(arguments, "status", ("--json",)):
-            from valor.valorctl import status
+            from valor.valorctl import watch
 
             instance, options = asked
-            status.run(instance, "--json" in options)
+            watch.run(instance, "--json" in options)
             return
     from valor.valorctl.app import app
 

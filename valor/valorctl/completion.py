@@ -2,134 +2,119 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import ParamSpec
 
 import typer
 
 from valor.common.instance import Instance, Settings
 
-P = ParamSpec("P")
+Names = Callable[[typer.Context], Iterable[str]]
 
 
-def _named(names: Callable[P, Iterable[str]]) -> Callable[P, list[str]]:
-    """Without an instance or its files there are no names."""
+def completer(names: Names) -> Callable[[typer.Context, str], list[str]]:
+    """Complete to those of some names that begin as what is there; without an instance or its files there are none."""
 
-    @functools.wraps(names)
-    def safe(*args: P.args, **kwargs: P.kwargs) -> list[str]:
+    def complete(ctx: typer.Context, incomplete: str) -> list[str]:
         try:
-            return list(names(*args, **kwargs))
+            return [name for name in names(ctx) if name.startswith(incomplete)]
         except Exception:  # a traceback in the middle of somebody's command line helps nobody
             return []
 
-    return safe
+    return complete
 
 
-@_named
-def profiles(incomplete: str) -> Iterable[str]:
+@completer
+def profiles(_: typer.Context) -> Iterable[str]:
     """For ``--profile``."""
     from valor.common.resources import profiles
 
-    return _begun(incomplete, profiles())
+    return profiles()
 
 
-@_named
-def robots(incomplete: str) -> Iterable[str]:
+@completer
+def robots(_: typer.Context) -> Iterable[str]:
     """For ``--robot``."""
     from valor.common.resources import robots
 
-    return _begun(incomplete, robots())
+    return robots()
 
 
-@_named
-def plans(incomplete: str) -> Iterable[str]:
+@completer
+def plans(_: typer.Context) -> Iterable[str]:
     """For ``step``."""
     from valor.common.resources import plans
 
-    return _begun(incomplete, plans())
+    return plans()
 
 
-@_named
-def worlds(incomplete: str) -> Iterable[str]:
+@completer
+def worlds(_: typer.Context) -> Iterable[str]:
     """For ``--world``."""
     from valor.simulation.world_names import WORLD_NAMES
 
-    return _begun(incomplete, WORLD_NAMES)
+    return WORLD_NAMES
 
 
-@_named
-def actuators(ctx: typer.Context, incomplete: str) -> Iterable[str]:
+@completer
+def actuators(ctx: typer.Context) -> Iterable[str]:
     """For ``--actuators``: of the robot asked for."""
     from valor.common.resources import robot_folder
 
     folder = robot_folder(ctx.params.get("robot") or "escher")
-    return _begun(incomplete, _table(folder)["actuators"])
+    return _table(folder)["actuators"]
 
 
-@_named
-def modes(incomplete: str) -> Iterable[str]:
+@completer
+def modes(_: typer.Context) -> Iterable[str]:
     """Control modes."""
     from valor.valorctl.mode_names import names
 
-    return _begun(incomplete, names())
+    return names()
 
 
-@_named
-def initial_modes(incomplete: str) -> Iterable[str]:
+@completer
+def initial_modes(_: typer.Context) -> Iterable[str]:
     """Control modes that ``up`` can bring a robot to."""
     from valor.valorctl.mode_names import initial
 
-    return _begun(incomplete, initial())
+    return initial()
 
 
-@_named
-def services(incomplete: str) -> Iterable[str]:
+@completer
+def services(_: typer.Context) -> Iterable[str]:
     """Processes."""
     from valor.common.processes import BY_NAME
 
-    return _begun(incomplete, BY_NAME)
+    return BY_NAME
 
 
-@_named
-def levels(incomplete: str) -> Iterable[str]:
+@completer
+def levels(_: typer.Context) -> Iterable[str]:
     """Of logs."""
     from valor.valorctl.log_reader import LEVELS
 
-    return _begun(incomplete, LEVELS)
+    return LEVELS
 
 
-@_named
-def arm_presets(ctx: typer.Context, incomplete: str) -> Iterable[str]:
+@completer
+def arm_presets(ctx: typer.Context) -> Iterable[str]:
     """Postures of the arms of the robot that is up."""
-    return _begun(incomplete, _table(_settings(ctx).robot)["arm_presets"])
+    return _table(_settings(ctx).robot)["arm_presets"]
 
 
-@_named
-def hand_presets(ctx: typer.Context, incomplete: str) -> Iterable[str]:
+@completer
+def hand_presets(ctx: typer.Context) -> Iterable[str]:
     """Postures of the hands of the robot that is up."""
-    return _begun(incomplete, _table(_settings(ctx).robot)["hand_presets"])
+    return _table(_settings(ctx).robot)["hand_presets"]
 
 
-@_named
-def instances(incomplete: str) -> Iterable[str]:
+@completer
+def instances(_: typer.Context) -> Iterable[str]:
     """Those that are up, or have been."""
     home = Instance.from_environment().folder.parent
-    return _begun(incomplete, sorted(folder.name for folder in home.iterdir() if (folder / "logs").is_dir()))
-
-
-@_named
-def experiments(incomplete: str) -> Iterable[str]:
-    """Experiments, and all of them."""
-    from valor.valorctl.experiments.table import BY_NAME
-
-    return _begun(incomplete, [*BY_NAME, "all"])
-
-
-def _begun(incomplete: str, names: Iterable[str]) -> Iterable[str]:
-    return (name for name in names if name.startswith(incomplete))
+    return sorted(folder.name for folder in home.iterdir() if (folder / "logs").is_dir())
 
 
 def _settings(ctx: typer.Context) -> Settings:

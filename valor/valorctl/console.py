@@ -6,11 +6,12 @@ import contextlib
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 
 def say(text: str) -> None:
@@ -35,14 +36,22 @@ def rich_console(wrap: bool = False) -> Console:
     return Console(highlight=False, soft_wrap=not wrap, width=None if sys.stdout.isatty() else 200)
 
 
-def say_rows(rows: Iterable[tuple[str, str]]) -> None:
-    """What, and how much: two columns."""
+def table(*columns: str, numbers: Collection[str] = (), **style: Any) -> Table:
+    """A table without lines, to fill and to print; columns of numbers end at their right."""
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, show_header=False)
+    made = Table(box=None, pad_edge=False, header_style="dim", **style)
+    for column in columns:
+        made.add_column(column, justify="right" if column in numbers else "left")
+    return made
+
+
+def say_rows(rows: Iterable[tuple[str, str]]) -> None:
+    """What, and how much: two columns."""
+    shown = table("", "", show_header=False)
     for row in rows:
-        table.add_row(*row)
-    rich_console().print(table)
+        shown.add_row(*row)
+    rich_console().print(shown)
 
 
 class Progress:

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from valor.common.errors import ValorError
-from valor.common.instance import Instance, Settings
+from valor.common.instance import Instance
 from valor.simulation import worlds
 from valor.simulation.worlds.dirt import Dirt
-from valor.valorctl import instance_setup, shutdown, startup, walking
+from valor.valorctl import startup, walking
 from valor.valorctl.console import Progress, bar, say
 from valor.valorctl.interruption import InterruptedBySignalError, Interruption
 
@@ -67,21 +67,6 @@ def prepare(instance: Instance, out: Path, *names: str) -> list[Path]:
     except OSError as error:
         raise ValorError(f"{error.filename}: {error.strerror}") from None
     return files
-
-
-@contextlib.contextmanager
-def running(
-    instance: Instance, request: instance_setup.Request, progress: Progress, interruption: Interruption
-) -> Iterator[Settings]:
-    """A system that is up inside and down behind, whatever happens."""
-    settings = startup.bring_up(instance, instance_setup.plan(request), progress, interruption)
-    try:
-        yield settings
-    finally:
-        progress.waiting("shutting down")
-        with instance_setup.changing(instance):
-            shutdown.take_down(instance)
-        progress.done("everything is shut down")
 
 
 def walk(instance: Instance, order: walking.Order, progress: Progress, interruption: Interruption) -> None:

@@ -13,7 +13,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.resources import example_file
 from valor.robot.description import RobotDescription
-from valor.valorctl import demonstration, instance_setup, walking
+from valor.valorctl import demonstration, instance_setup, startup, walking
 from valor.valorctl.console import Progress
 from valor.valorctl.interruption import Interruption
 
@@ -54,7 +54,7 @@ def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, inter
     )  # fmt: skip
     order = walking.Order(forward=demonstration.SPEED, distance=DISTANCE, straight=True)
     failures = demonstration.Failures()
-    with demonstration.running(instance, request, progress, interruption) as settings, failures.kept():
+    with startup.running(instance, request, progress, interruption) as settings, failures.kept():
         _run_client(instance, program, measurements, interruption)
         demonstration.walk(instance, order, progress, interruption)
     made = demonstration.draw(_drawings(bag, settings.robot, out), failures, progress, interruption)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import sys
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from valor.common.errors import ConfigurationError, ValorError, expected
 from valor.common.instance import Instance, Settings
 from valor.common.processes import BY_NAME, Process
-from valor.valorctl import instance_setup, leftovers, ros_domain, shutdown, status, supervision, supervisor_config
+from valor.valorctl import instance_setup, leftovers, presence, ros_domain, shutdown, supervision, supervisor_config
 from valor.valorctl.console import Progress
 from valor.valorctl.health import Health, Listener, judge
 from valor.valorctl.interruption import Interruption
@@ -55,6 +56,21 @@ def bring_up(instance: Instance, plan: instance_setup.Plan, progress: Progress, 
             except ValorError as second:
                 raise ValorError(f"{error}\nand then: {second}") from error
             raise
+
+
+@contextlib.contextmanager
+def running(
+    instance: Instance, request: instance_setup.Request, progress: Progress, interruption: Interruption
+) -> Iterator[Settings]:
+    """A system that is up inside and down behind, whatever happens."""
+    settings = bring_up(instance, instance_setup.plan(request), progress, interruption)
+    try:
+        yield settings
+    finally:
+        progress.waiting("shutting down")
+        with instance_setup.changing(instance):
+            shutdown.take_down(instance)
+        progress.done("everything is shut down")
 
 
 def refuse_if_up(instance: Instance) -> None:
@@ -206,7 +222,7 @@ def restart(instance: Instance, name: str, progress: Progress, interruption: Int
         ValorError: the instance is not up, there is no such process, or the new one did not become ready.
     """
     with instance_setup.changing(instance):
-        supervisor = status.require_up(instance)
+        supervisor = presence.require_up(instance)
         infos = supervisor.processes()
         if name not in infos:
             known = [each for each in BY_NAME if each in infos]

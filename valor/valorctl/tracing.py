@@ -18,7 +18,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.trace import FLUSH_PERIOD, Trace, topic
 from valor.robot.description import RobotDescription
-from valor.valorctl.status import require_up
+from valor.valorctl.presence import require_up
 
 LOOPS = ("comms_manager", "motion_manager", "valor_ros_controller", "bag_recorder")  # that mark their stages
 _SWITCHING = 0.5  # until all have begun [s]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from valor.common.instance import ClockMode, Instance
 from valor.robot.description import RobotDescription
-from valor.valorctl import demonstration, walking
+from valor.valorctl import demonstration, startup, walking
 from valor.valorctl.console import Progress, say_rows
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.interruption import Interruption
@@ -51,7 +51,7 @@ def run(instance: Instance, wanted: Course, out: Path, progress: Progress, inter
         real_time_factor=wanted.real_time_factor, bag=bag,
     )  # fmt: skip
     failures = demonstration.Failures()
-    with demonstration.running(instance, request, progress, interruption) as settings, failures.kept():
+    with startup.running(instance, request, progress, interruption) as settings, failures.kept():
         demonstration.walk(instance, order, progress, interruption)
     made: list[Path] = []
     with failures.kept():

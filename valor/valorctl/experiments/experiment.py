@@ -13,7 +13,7 @@ from pathlib import Path
 from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Recording, Settings
-from valor.valorctl import demonstration
+from valor.valorctl import startup
 from valor.valorctl.console import Progress
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.interruption import Interruption
@@ -75,7 +75,7 @@ class Run:
             profile=profile, robot=str(robot or self.options.robot), actuators=actuators or self.options.actuators,
             seed=self.options.seed, bag=bag, recording=recording or Recording(),
         )  # fmt: skip
-        with demonstration.running(self.instance, request, self.progress, self.interruption) as settings:
+        with startup.running(self.instance, request, self.progress, self.interruption) as settings:
             self._note({
                 "robot": settings.robot.name, "profile": settings.profile, "clock": settings.clock,
                 "actuators": settings.actuators, "world": settings.world, "seed": str(settings.seed),

@@ -10,9 +10,10 @@ import typer
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.valorctl.console import bar, complain, progress, rich_console, say, say_json
+from valor.valorctl.console import bar, complain, progress, rich_console, say, say_json, table
 from valor.valorctl.interruption import Interruption
 from valor.valorctl.verbs import recordings
+from valor.valorctl.verbs.options import AnyBag, Json, Topics
 
 if TYPE_CHECKING:
     from valor.valorctl.bag_summary import BagSummary
@@ -33,7 +34,7 @@ def info(
     file: Annotated[
         Path, typer.Argument(metavar="BAG", help="An .mcap file, a folder of them, a folder of recordings, or a name.")
     ],
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Show when it was recorded, and every topic with its type and number of messages; of several, a line each."""
     from valor.valorctl.bag_summary import find, summarize
@@ -47,18 +48,11 @@ def info(
     if json:
         say_json(summary.as_json())
         return
-    from rich.table import Table
-
     say(_at_a_glance(summary))
-    console = rich_console()
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    table.add_column("topic")
-    table.add_column("type")
-    table.add_column("messages", justify="right")
-    table.add_column("Hz", justify="right")
+    shown = table("topic", "type", "messages", "Hz", numbers=("messages", "Hz"))
     for topic in summary.topics:
-        table.add_row(topic.name, topic.type, str(topic.messages), f"{topic.rate:.1f}")
-    console.print(table)
+        shown.add_row(topic.name, topic.type, str(topic.messages), f"{topic.rate:.1f}")
+    rich_console().print(shown)
 
 
 def _summarize_each(found: list[Path], as_json: bool) -> None:
@@ -84,13 +78,11 @@ def _at_a_glance(summary: BagSummary) -> str:
 
 
 @bag.command()
-def snap(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+def snap(json: Json = False) -> None:
     """Save the last seconds, of a recorder that holds them (up --bag-ring)."""
-    from valor.valorctl import bag_snap, status
+    from valor.valorctl import bag_snap, presence
 
-    instance = Instance.from_environment()
-    status.require_running(instance)
-    reply = bag_snap.snap(instance)
+    reply = bag_snap.snap(presence.require_running())
     if json:
         say_json({"file": reply.path, "messages": reply.messages, "seconds": reply.seconds})
     else:
@@ -115,13 +107,11 @@ def recover(file: File) -> None:
 
 @bag.command()
 def csv(
-    bag_path: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")],
+    bag_path: AnyBag,
     out: Annotated[Path | None, typer.Option(help="A new folder; BAG's name with _csv unless given.")] = None,
-    topic: Annotated[
-        list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
-    ] = None,
+    topic: Topics = None,
     parquet: Annotated[bool, typer.Option("--parquet", help="As Parquet files; needs pyarrow.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Write any ROS 2 bag as CSV, one file a topic; of a damaged one what can be saved, and then fail."""
     from valor.analysis.csv_export import export
@@ -161,11 +151,9 @@ def csv(
 
 @bag.command()
 def play(
-    bag_path: Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")],
+    bag_path: AnyBag,
     rate: Annotated[float, typer.Option(help="Of the bag's own pace.")] = 1.0,
-    topic: Annotated[
-        list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
-    ] = None,
+    topic: Topics = None,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ROS domain; ROS_DOMAIN_ID unless given.")] = None,
 ) -> None:
     """Publish a bag's messages on ROS topics; never into the domain of a running system."""

@@ -9,15 +9,11 @@ from typing import Annotated
 import typer
 
 from valor.common.errors import ValorError
-from valor.common.instance import ClockMode, Instance
+from valor.common.instance import Instance
 from valor.valorctl.console import progress
-from valor.valorctl.verbs.lifecycle import ROBOT
+from valor.valorctl.verbs.options import Clock, OptionalRobot, RealTimeFactor
 
 _OUT = Path("output/demo")
-Robot = Annotated[str | None, ROBOT]
-RealTimeFactor = Annotated[
-    float, typer.Option("--rtf", min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
-]
 
 demo = typer.Typer(name="demo", invoke_without_command=True, rich_markup_mode=None)
 
@@ -31,7 +27,7 @@ def register(app: typer.Typer) -> None:
 def reach_and_walk(
     context: typer.Context,
     out: Annotated[Path | None, typer.Option(help=f"The folder for the bag and the pictures; else {_OUT}.")] = None,
-    robot: Robot = None,
+    robot: OptionalRobot = None,
     rtf: RealTimeFactor = 1.0,
 ) -> None:
     """Let the robot stand up, reach out and walk onto the dirt in a system of its own; leaves a bag and pictures."""
@@ -51,11 +47,11 @@ def reach_and_walk(
 def walk(
     *,
     out: Annotated[Path, typer.Option(help="The folder for the bag and the pictures.")] = Path("output/demo_walk"),
-    robot: Robot = None,
+    robot: OptionalRobot = None,
     distance: Annotated[float | None, typer.Option(help="To the finish line unless given [m].")] = None,
     speed: Annotated[float | None, typer.Option(help="Forward [m/s].")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the course and of all that is random in the simulation.")] = 0,
-    clock: Annotated[ClockMode, typer.Option(help="How simulated time runs.")] = "lockstep",
+    clock: Clock = "lockstep",
     rtf: RealTimeFactor = 1.0,
 ) -> None:
     """Walk the 61 m course of uneven dirt; leaves a bag, figures and pictures."""

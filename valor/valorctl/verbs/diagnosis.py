@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
 
 import typer
 
 from valor.common.instance import Instance
 from valor.valorctl.console import progress, rich_console, say_json
+from valor.valorctl.verbs.options import Json
 
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
     app.command()(doctor)
 
 
-def doctor(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+def doctor(json: Json = False) -> None:
     """Look at this computer and the instance for what is known to go wrong, and say what to do about it."""
     from valor.valorctl.checks import run_all
 

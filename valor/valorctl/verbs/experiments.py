@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +12,8 @@ import typer
 from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
 from valor.valorctl import completion
-from valor.valorctl.console import complain, progress, rich_console, say
-from valor.valorctl.verbs.lifecycle import ROBOT
+from valor.valorctl.console import complain, progress, rich_console, say, table
+from valor.valorctl.verbs.options import Robot
 
 if TYPE_CHECKING:
     from valor.analysis.results import Result
@@ -21,6 +22,14 @@ INSTANCE = "experiment"
 ALL = "all"
 OUT = Path("output/experiments")
 REPORT = "report"
+
+
+@completion.completer
+def _names(_: typer.Context) -> Iterable[str]:
+    """Experiments, and all of them."""
+    from valor.valorctl.experiments.table import BY_NAME
+
+    return [*BY_NAME, ALL]
 
 
 def register(app: typer.Typer) -> None:
@@ -32,30 +41,26 @@ def register(app: typer.Typer) -> None:
 def experiment(
     name: Annotated[
         str | None,
-        typer.Argument(help="Which, or 'all'; they are listed unless given.", autocompletion=completion.experiments),
+        typer.Argument(help="Which, or 'all'; they are listed unless given.", autocompletion=_names),
     ] = None,
     *,
     out: Annotated[Path, typer.Option(help="Each experiment leaves a folder of its name here.")] = OUT,
     quick: Annotated[bool, typer.Option("--quick", help="A short form, to see that everything works.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random in the simulation.")] = 0,
-    robot: Annotated[str, ROBOT] = "escher",
+    robot: Robot = "escher",
     actuators: Annotated[str, typer.Option(help="The robot's profile of imperfections: ideal, hardware.")] = "hardware",
 ) -> None:
     """Repeat an experiment of the thesis, or all and their report, in a system of its own."""
     from valor.valorctl.experiments.experiment import Options
-    from valor.valorctl.experiments.table import BY_NAME, EXPERIMENTS
+    from valor.valorctl.experiments.table import BY_NAME, EXPERIMENTS, perform_all
     from valor.valorctl.interruption import Interruption
 
     if name is None:
-        from rich.table import Table
-
-        table = Table(box=None, pad_edge=False, header_style="dim")
-        for column in ("experiment", "title", "reproduces"):
-            table.add_column(column)
+        listed = table("experiment", "title", "reproduces")
         for each in EXPERIMENTS:
-            table.add_row(each.name, each.title, each.reproduces)
-        table.add_row(ALL, "One after the other, and their report", "")
-        rich_console().print(table)
+            listed.add_row(each.name, each.title, each.reproduces)
+        listed.add_row(ALL, "One after the other, and their report", "")
+        rich_console().print(listed)
         return
     require_one_of("experiment", name, (*BY_NAME, ALL))
     folder = out.expanduser().absolute()
@@ -67,9 +72,7 @@ def experiment(
             _show(result)
             shown.done(str(file))
             return
-        from valor.valorctl.experiments import row
-
-        row.perform(instance, Options(folder, quick, seed, actuators, robot), shown, interruption, _show)
+        perform_all(instance, Options(folder, quick, seed, actuators, robot), shown, interruption, _show)
         _report(folder, folder / REPORT)
 
 
@@ -107,15 +110,9 @@ def _report(folder: Path, out: Path) -> None:
 
 
 def _show(result: Result) -> None:
-    from rich.table import Table
-
-    table = Table(title=f"{result.title} ({result.reproduces})", box=None, pad_edge=False, header_style="dim",
-                  title_justify="left")  # fmt: skip
-    table.add_column("")
-    table.add_column("here", justify="right")
-    table.add_column("unit")
-    table.add_column("thesis", justify="right")
+    title = f"{result.title} ({result.reproduces})"
+    shown = table("", "here", "unit", "thesis", numbers=("here", "thesis"), title=title, title_justify="left")
     for measure in result.measures:
         value = "–" if measure.value is None else f"{measure.value:.4g}"
-        table.add_row(measure.name, value, measure.unit, measure.thesis)
-    rich_console().print(table)
+        shown.add_row(measure.name, value, measure.unit, measure.thesis)
+    rich_console().print(shown)

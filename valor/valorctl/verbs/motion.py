@@ -12,6 +12,7 @@ from valor.common.instance import Instance
 from valor.valorctl import completion
 from valor.valorctl.console import progress, say, say_json, say_rows
 from valor.valorctl.interruption import Interruption
+from valor.valorctl.verbs.options import Json
 
 if TYPE_CHECKING:
     from valor.valorctl.walking import Walk
@@ -42,7 +43,7 @@ def stop(
     freeze: Annotated[
         bool, typer.Option("--freeze", help="Lock the joints; a robot that walks comes to stand before.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Stop the robot, by every path there is: it keeps its balance where it has one, else its joints are locked."""
     from valor.valorctl import stopping
@@ -52,13 +53,12 @@ def stop(
 
 def mode(
     name: Annotated[str | None, _MODE] = None,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Show the control mode, or change it."""
-    from valor.valorctl import control_mode, mode_names, status
+    from valor.valorctl import control_mode, mode_names, presence
 
-    instance = Instance.from_environment()
-    status.require_running(instance)
+    instance = presence.require_running()
     if name is None:
         report = control_mode.report(instance)
         flags = control_mode.flag_names(report.status)
@@ -97,46 +97,37 @@ def mode(
         say(change.describe())
 
 
-_SPEED = typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")
-_TOLERANCE = typer.Option(min=0.0, help="For the final error of each joint [rad].")
-_JSON = typer.Option("--json", help="As JSON.")
+Side = Literal["left", "right"]
+Speed = Annotated[float, typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")]
+Tolerance = Annotated[float, typer.Option(min=0.0, help="For the final error of each joint [rad].")]
 
 
 def arm(
-    side: Annotated[Literal["left", "right"], typer.Argument(help="Which arm.")],
+    side: Annotated[Side, typer.Argument(help="Which arm.")],
     preset: Annotated[str, _ARM_PRESET],
-    speed: Annotated[float, _SPEED] = 0.5,
-    tolerance: Annotated[float, _TOLERANCE] = 0.05,
-    json: Annotated[bool, _JSON] = False,
+    speed: Speed = 0.5,
+    tolerance: Tolerance = 0.05,
+    json: Json = False,
 ) -> None:
     """Move an arm to a preset posture and measure how well it got there."""
     _move(side, "arm", preset, speed=speed, tolerance=tolerance, json=json)
 
 
 def hand(
-    side: Annotated[Literal["left", "right"], typer.Argument(help="Which hand.")],
+    side: Annotated[Side, typer.Argument(help="Which hand.")],
     preset: Annotated[str, _HAND_PRESET],
-    speed: Annotated[float, _SPEED] = 0.5,
-    tolerance: Annotated[float, _TOLERANCE] = 0.05,
-    json: Annotated[bool, _JSON] = False,
+    speed: Speed = 0.5,
+    tolerance: Tolerance = 0.05,
+    json: Json = False,
 ) -> None:
     """Open or close a hand and measure how well it got there."""
     _move(side, "hand", preset, speed=speed, tolerance=tolerance, json=json)
 
 
-def _move(
-    side: Literal["left", "right"],
-    limb: Literal["arm", "hand"],
-    name: str,
-    *,
-    speed: float,
-    tolerance: float,
-    json: bool,
-) -> None:
-    from valor.valorctl import arm_motion, status
+def _move(side: Side, limb: Literal["arm", "hand"], name: str, *, speed: float, tolerance: float, json: bool) -> None:
+    from valor.valorctl import arm_motion, presence
 
-    instance = Instance.from_environment()
-    status.require_running(instance)
+    instance = presence.require_running()
     with Interruption() as interruption:
         motion = arm_motion.move_limb(
             instance, side, limb, name, speed=speed, tolerance=tolerance, check=interruption.check
@@ -172,16 +163,15 @@ def walk(
         bool, typer.Option("--straight", help="Keep to the line and the heading it starts with.")
     ] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw the way, the balance, the feet's forces.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Walk at a velocity, stop, and say how far it went."""
-    from valor.valorctl import status, walking
+    from valor.valorctl import presence, walking
 
     if seconds is None and distance is None:
         seconds = DEFAULT_SECONDS
     order = walking.Order(vx, vy, wz, seconds, distance, straight)
-    instance = Instance.from_environment()
-    status.require_running(instance)
+    instance = presence.require_running()
     with progress() as shown, Interruption() as interruption:
         result = walking.walk(
             instance,
@@ -235,21 +225,19 @@ def push(
     z: Annotated[float, typer.Argument(help="Up [N·s].")],
 ) -> None:
     """Push the simulated robot's chest for 0.1 s."""
+    from valor.valorctl import presence
     from valor.valorctl import push as pushing
-    from valor.valorctl import status
 
-    instance = Instance.from_environment()
-    status.require_running(instance)
+    instance = presence.require_running()
     reply = pushing.push(instance, (x, y, z))
     say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
 
 
-def get_up(json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False) -> None:
+def get_up(json: Json = False) -> None:
     """Get up after a fall; the robot ends in stand_prep."""
-    from valor.valorctl import getting_up, status
+    from valor.valorctl import getting_up, presence
 
-    instance = Instance.from_environment()
-    status.require_running(instance)
+    instance = presence.require_running()
     with progress() as shown, Interruption() as interruption:
         duration = getting_up.get_up(instance, interruption.check, shown.waiting if json else shown.stage)
     if json:

@@ -13,7 +13,7 @@ from valor.valorctl import completion
 from valor.valorctl.console import say, say_json
 
 if TYPE_CHECKING:
-    from valor.valorctl.status import Watch
+    from valor.valorctl.watch import Watch
 
 WATCH_PERIOD = 1.0  # [s]
 
@@ -30,7 +30,7 @@ def status(
     json: Annotated[bool, typer.Option("--json", help="As JSON; with --watch an object a line.")] = False,
 ) -> None:
     """Show how every process fares, what the robot does and why, and how time runs."""
-    from valor.valorctl import status as looking
+    from valor.valorctl import watch as looking
 
     instance = Instance.from_environment()
     if watch:

@@ -11,8 +11,9 @@ import typer
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.valorctl.amounts import size_text, time_text
-from valor.valorctl.console import rich_console, say, say_json
+from valor.valorctl.console import rich_console, say, say_json, table
 from valor.valorctl.recording_options import BOUND, BOUND_VARIABLE
+from valor.valorctl.verbs.options import Json
 
 if TYPE_CHECKING:
     from valor.valorctl.recording_list import Row
@@ -27,7 +28,7 @@ def register(bag: typer.Typer) -> None:
 
 def list_recordings(
     everywhere: Annotated[bool, typer.Option("--all", help="Of every instance in VALOR_HOME.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """List recordings, the oldest first: when, how long, how big, kept or being written, and what happened."""
     from valor.valorctl import recording_list
@@ -42,21 +43,13 @@ def list_recordings(
 
 
 def _show(rows: list[Row]) -> None:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    table.add_column("name")
-    table.add_column("when")
-    table.add_column("duration", justify="right")
-    table.add_column("size", justify="right")
-    for name in ("", "instance", "events"):
-        table.add_column(name)
+    shown = table("name", "when", "duration", "size", "", "instance", "events", numbers=("duration", "size"))
     for row in rows:
         marks = " ".join(word for word, yes in (("kept", row.kept), ("being written", row.written)) if yes)
         when = f"{datetime.fromtimestamp(row.begun):%Y-%m-%d %H:%M:%S}"
         duration = time_text(row.duration)
-        table.add_row(row.name, when, duration, size_text(row.size), marks, row.instance, "; ".join(row.events))
-    rich_console().print(table)
+        shown.add_row(row.name, when, duration, size_text(row.size), marks, row.instance, "; ".join(row.events))
+    rich_console().print(shown)
     say(f"{len(rows)} recordings, {size_text(sum(row.size for row in rows))}")
 
 

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from valor.common.errors import ValorError
-from valor.common.instance import Instance
 from valor.common.resources import plan_file, plans
 from valor.valorctl import completion
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
+from valor.valorctl.verbs.options import Json
 
 
 def register(app: typer.Typer) -> None:
@@ -31,17 +31,16 @@ def step(
     ] = None,
     relative: Annotated[bool, typer.Option("--relative", help="--to as seen from where the robot stands.")] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw plan and outcome, from above.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+    json: Json = False,
 ) -> None:
     """Take footsteps: those of a plan, or some that lead to a place."""
     from valor.robot.description import RobotDescription
-    from valor.valorctl import status, step_picture, step_plan, stepping
+    from valor.valorctl import presence, step_picture, step_plan, stepping
 
     if (plan is None) == (to is None):
         raise ValorError("expected a plan, or --to X Y YAW")
     file = step_plan.load(plan_file(plan)) if plan is not None else None
-    instance = Instance.from_environment()
-    status.require_running(instance)
+    instance = presence.require_running()
     with Interruption() as interruption:
         if file is not None:
             outcome = stepping.step_plan(instance, file.steps, file.frame, interruption.check)

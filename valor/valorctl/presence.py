@@ -1,0 +1,61 @@
+"""Whether an instance runs: what is asked of everything that needs one."""
+
+from __future__ import annotations
+
+import time
+
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.processes import BY_NAME
+from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor
+
+
+def require_up(instance: Instance) -> Supervisor:
+    """The instance's supervisor.
+
+    Raises:
+        ValorError: it is not up, or its supervisor is gone.
+    """
+    instance.settings()
+    supervisor = Supervisor(instance)
+    if not supervisor.answers():
+        raise ValorError(unsupervised(instance, len(processes_found(instance))))
+    return supervisor
+
+
+def require_running() -> Instance:
+    """The environment's instance, of which something runs: what is needed answers for itself, supervised or not.
+
+    Raises:
+        ValorError: it is not up, or has crashed as a whole.
+    """
+    instance = Instance.from_environment()
+    instance.settings()
+    if not Supervisor(instance).answers() and not processes_found(instance):
+        raise ValorError(unsupervised(instance, 0))
+    return instance
+
+
+def unsupervised(instance: Instance, left: int) -> str:
+    """What to say of an instance whose supervisor is gone."""
+    option = Instance.option(instance.name)
+    if not left:
+        return f"instance {instance.name!r} has crashed: nothing of it runs; `valorctl up{option}` starts it again"
+    return (
+        f"instance {instance.name!r}: its supervisor does not answer, nothing restarts its {left} processes that are "
+        f"left; `valorctl down{option}` clears it away"
+    )
+
+
+def processes_found(instance: Instance) -> dict[str, ProcessInfo]:
+    """The processes of an instance that run, without asking its supervisor."""
+    from valor.valorctl import leftovers  # psutil and a walk over all processes
+
+    by_module = {process.module: name for name, process in BY_NAME.items()}
+    running = {}
+    for process in leftovers.supervised_processes(instance):
+        name = by_module.get(process.command.rpartition(" ")[2])
+        if name:
+            uptime = time.time() - process.process.create_time()
+            running[name] = ProcessInfo(name, ProcessState.RUNNING, process.process.pid, uptime, 0, "")
+    return running

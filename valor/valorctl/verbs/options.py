@@ -1,0 +1,28 @@
+"""What several verbs take: their options, said once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from valor.common.instance import ClockMode
+from valor.common.resources import robots
+from valor.valorctl import completion
+
+_ROBOT = typer.Option(help=f"{', '.join(robots())}, or a folder with robot.yaml.", autocompletion=completion.robots)
+_CLOCK = typer.Option(help="How simulated time runs.")
+_RTF = typer.Option(min=0.0, help="Real-time factor that lockstep is paced to; 0: as fast as it goes.")
+
+Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
+Robot = Annotated[str, _ROBOT]
+OptionalRobot = Annotated[str | None, _ROBOT]
+Clock = Annotated[ClockMode, _CLOCK]
+OptionalClock = Annotated[ClockMode | None, _CLOCK]
+RealTimeFactor = Annotated[float, _RTF]
+OptionalRealTimeFactor = Annotated[float | None, _RTF]
+Topics = Annotated[
+    list[str] | None, typer.Option(metavar="PATTERN", help="Only topics like '/joint_*'; may be repeated.")
+]
+AnyBag = Annotated[Path, typer.Argument(metavar="BAG", help="An .mcap or .db3 file, or a folder of them.")]
