@@ -128,7 +128,7 @@ def ask() -> None:
     with bifrost.Node("asker") as node:
         watch = node.discovery.watch("server", SERVICE)
         until(lambda: watch.peers, "a server is there")
-        socket = node.connecting_socket(zmq.DEALER)
+        socket = node.discovery.connecting_socket(zmq.DEALER)
         socket.connect(watch.peers[-1].entry.endpoint)
         for _ in range(REQUESTS):
             with contextlib.suppress(zmq.Again):

@@ -20,7 +20,8 @@ from bifrost.network import Computer, Network
 from bifrost.node import Node
 from bifrost.plain import from_builtins, to_builtins
 from bifrost.publisher import Publisher
-from bifrost.schema import Schema, type_from_schema
+from bifrost.reflection import type_from_schema
+from bifrost.schema import Schema
 from bifrost.server import Server
 from bifrost.subscriber import Received, Subscriber
 from bifrost.waiting import Poller, wait

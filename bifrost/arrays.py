@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from bifrost.array_kind import ArrayKind
+from bifrost.messages import ArrayKind
 
 S = TypeVar("S", bound=msgspec.Struct)
 

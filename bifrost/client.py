@@ -225,10 +225,10 @@ class Client(Generic[M, R]):
         if self._socket is not None and endpoint == self._endpoint:
             return self._socket
         self._disconnect()
-        socket = self._node.connecting_socket(zmq.DEALER)
+        socket = self._node.discovery.connecting_socket(zmq.DEALER)
         socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a server that is not there
         try:
-            self._node.connect(socket, entry)
+            self._node.discovery.connect(socket, entry)
         except zmq.ZMQError as error:  # a member has registered what is no address
             socket.close()
             raise NoServerError(f"{self.topic}: cannot connect to {endpoint!r}: {error.strerror}") from None

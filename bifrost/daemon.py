@@ -168,7 +168,7 @@ class Daemon:
             known = self._members.get(message.node.incarnation)
             if known is not None and not self._may_speak_for(known, peer):
                 return
-            node, refusals = self._grants.sift(message.node, peer.owner)
+            node, refusals = message.node.sifted(self._grants, peer.owner)
             for refusal in refusals:
                 self._refuse(f"{refusal} (pid {node.pid} on {node.computer}, key of {peer.owner})")
             self._members[node.incarnation] = _Member(sender, descriptor, node, now, peer.owner)

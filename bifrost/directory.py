@@ -10,6 +10,7 @@ from typing import Literal
 
 import msgspec
 
+from bifrost.grants import MEMBER, Grants
 from bifrost.schema import Schema
 
 Kind = Literal["publisher", "subscriber", "server", "client"]
@@ -63,6 +64,27 @@ class NodeRecord(msgspec.Struct, frozen=True):
     started: int
     entries: tuple[Entry, ...] = ()
     schemas: dict[str, Schema] = {}
+
+    def sifted(self, grants: Grants, proven: str | None = None) -> tuple[NodeRecord, list[str]]:
+        """The record without what its node may not have, and why that is refused.
+
+        Args:
+            grants: of the network.
+            proven: the owner that its connection has proven it to be; None: nothing is known of that, and the keys that
+                it announces count. A false one is found out by whoever connects.
+        """
+        if not grants.owners:
+            return self, []
+        kept: list[Entry] = []
+        refusals = []
+        for entry in self.entries:
+            owner = grants.owner_of(entry.key)
+            shown = owner if proven is None or proven == owner else MEMBER
+            if refusal := grants.refusal(self.name, entry.kind, entry.topic, shown):
+                refusals.append(f"{refusal}: refused")
+            else:
+                kept.append(entry)
+        return (msgspec.structs.replace(self, entries=tuple(kept)) if refusals else self), refusals
 
 
 class Count(msgspec.Struct, frozen=True, array_like=True):

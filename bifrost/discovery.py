@@ -18,25 +18,33 @@ import msgspec
 import zmq
 
 from bifrost import directory as d
+from bifrost import security
 from bifrost.keepsake import recall
 from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
 from bifrost.schema import Schema
-from bifrost.security import Gate, connect, connecting_socket
+from bifrost.security import Gate
 
 # Between two registrations, each of which tells all nodes of everything that this one has; for each of its entries [s].
 _REST = 1e-4
 _PATIENCE = 0.3  # with a daemon, until those that the last one knew are looked up on disk [s]
 _WARNINGS = 20  # of what others may not have, at most
 _log = logging.getLogger("bifrost")
-WAKE_ENDPOINT = "inproc://bifrost.wake"
+_WAKE_ENDPOINT = "inproc://bifrost.wake"
 Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
 
 
 class Discovery:
-    """See the module. All public methods may be called from any thread."""
+    """See the module. All public methods may be called from any thread.
+
+    Attributes:
+        network: that the node has joined.
+        name: of the node.
+        incarnation: a random number that no other node, and no later run of this one, has.
+    """
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str, recall: bool) -> None:
+        self.network, self.name = network, name
         self.incarnation = secrets.randbits(63)
         here = network.computer.name
         self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), here, time.monotonic_ns())
@@ -56,24 +64,38 @@ class Discovery:
         self._next_registration = 0.0
         self._closing = False
         self._neighbors = Neighbors(here)
-        self._grants = network.grants
         self._refused: set[str] = set()  # that the log has told of
         self._heard = 0.0  # when the daemon last said anything
-        self._network = network
         self._recall_at = time.monotonic() + _PATIENCE if recall else float("inf")
         self._context = context
         self._gate = Gate(context, network)
         self._wake = context.socket(zmq.XPUB)
         self._wake.setsockopt(zmq.LINGER, 0)
         self._wake.setsockopt(zmq.XPUB_VERBOSE, 1)
-        self._wake.bind(WAKE_ENDPOINT)
+        self._wake.bind(_WAKE_ENDPOINT)
         self._poke = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        self._daemon = connecting_socket(context, zmq.DEALER, network)
-        connect(self._daemon, network.computer.daemon, network.daemon_key)
+        self._daemon = self.connecting_socket(zmq.DEALER)
+        security.connect(self._daemon, network.computer.daemon, network.daemon_key)
         self._thread = threading.Thread(target=self._run, name=f"bifrost-{name}", daemon=True)
         self._thread.start()
 
     # --- for publishers, subscribers, servers and clients ---------------------------------------------------------
+
+    def listening_socket(self, kind: int) -> zmq.Socket[bytes]:
+        """A socket to bind."""
+        return security.listening_socket(self._context, kind, self.network)
+
+    def connecting_socket(self, kind: int) -> zmq.Socket[bytes]:
+        """A socket to connect."""
+        return security.connecting_socket(self._context, kind, self.network)
+
+    def connect(self, socket: zmq.Socket[bytes], entry: d.Entry) -> None:
+        """Connect a socket to an entry of a node."""
+        security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
+
+    def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
+        """Let the thread wake a subscriber: it publishes the bare topic when its publishers change."""
+        socket.connect(_WAKE_ENDPOINT)
 
     def announce(self, entry: d.Entry, schemas: Iterable[Schema], counter: Counter | None = None) -> int:
         """Tell the network of an entry, and from time to time of its counters; returns the key for ``withdraw``."""
@@ -328,13 +350,13 @@ class Discovery:
         self._recall_at = float("inf")
         if not self._heard:
             with self._lock:
-                for record in recall(self._network):
+                for record in recall(self.network):
                     self._neighbors.put(self._sifted(record))
                 self._refresh()
 
     def _sifted(self, record: d.NodeRecord) -> d.NodeRecord:
         """A record without what is not its node's. The daemon has seen to it, but is not what is trusted."""
-        record, refusals = self._grants.sift(record)
+        record, refusals = record.sifted(self.network.grants)
         for refusal in refusals:
             if refusal not in self._refused and len(self._refused) < _WARNINGS:
                 self._refused.add(refusal)

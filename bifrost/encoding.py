@@ -10,7 +10,7 @@ from typing import Any, Generic
 import msgspec
 
 from bifrost.messages import M, Message
-from bifrost.schema import array_kind, field_types, list_type, optional_type, schema_of
+from bifrost.reflection import array_kind, field_types, list_type, optional_type, schema_of
 
 _Check = Callable[[Any, str], None]
 _LOWEST, _HIGHEST = -(2**63), 2**63 - 1

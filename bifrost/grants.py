@@ -13,14 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from bifrost.directory import Entry, NodeRecord
-from bifrost.errors import ConfigurationError
-
 DAEMON = "bifrostd"  # the owner that every daemon of a network with owners is
 MEMBER = "member"  # whoever has the common keys alone
-_KEY_LENGTH = 40  # Z85 text of a CURVE key
 _WISH = {"publisher": "publish", "server": "serve"}
 
 
@@ -59,30 +53,6 @@ class Grants:
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     servers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    @classmethod
-    def read(cls, content: Mapping[str, Any], where: Path) -> Grants:
-        """Those of a network file.
-
-        Raises:
-            ConfigurationError: they are not what is expected.
-        """
-        try:
-            grants = cls(
-                msgspec.convert(content.get("owners", {}), dict[str, str]),
-                msgspec.convert(content.get("publishers", {}), dict[str, tuple[str, ...]]),
-                msgspec.convert(content.get("servers", {}), dict[str, tuple[str, ...]]),
-            )
-        except msgspec.ValidationError as error:
-            raise ConfigurationError(f"{where}: owners, publishers, servers: {error}") from None
-        for name, key in grants.owners.items():
-            if len(key) != _KEY_LENGTH:
-                raise ConfigurationError(f"{where}: owners.{name}: expected a public key of {_KEY_LENGTH} characters")
-        for table, topics in (("publishers", grants.publishers), ("servers", grants.servers)):
-            for topic, names in topics.items():
-                if not names or not grants.owners.keys() >= set(names):
-                    raise ConfigurationError(f"{where}: {table}.{topic}: expected names of owners, got {list(names)}")
-        return grants
-
     def plain(self) -> dict[str, Any]:
         """As the network file has them; nothing, if nothing is granted."""
         if not self.owners:
@@ -114,27 +84,6 @@ class Grants:
         if owners is None or proven in owners:
             return ""
         return f"{who} wants to {_WISH[kind]} {topic}, which is {' or '.join(owners)}'s"
-
-    def sift(self, record: NodeRecord, proven: str | None = None) -> tuple[NodeRecord, list[str]]:
-        """A record without what its node may not have, and why that is refused.
-
-        Args:
-            record: of the node.
-            proven: the owner that its connection has proven it to be; None: nothing is known of that, and the keys that
-                it announces count. A false one is found out by whoever connects.
-        """
-        if not self.owners:
-            return record, []
-        kept: list[Entry] = []
-        refusals = []
-        for entry in record.entries:
-            owner = self.owner_of(entry.key)
-            shown = owner if proven is None or proven == owner else MEMBER
-            if refusal := self.refusal(record.name, entry.kind, entry.topic, shown):
-                refusals.append(f"{refusal}: refused")
-            else:
-                kept.append(entry)
-        return (msgspec.structs.replace(record, entries=tuple(kept)) if refusals else record), refusals
 
 
 NONE = Grants()

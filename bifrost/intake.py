@@ -13,11 +13,11 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.discovery import Discovery
 from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
 from bifrost.limits import LOOKS, Limit, Meter, Muted, endpoint_of
-from bifrost.member import Member
-from bifrost.schema import type_from_schema
+from bifrost.reflection import type_from_schema
 
 _log = logging.getLogger("bifrost")
 _NOBLOCK = int(zmq.NOBLOCK)
@@ -77,7 +77,7 @@ class Intake:
     """
 
     def __init__(
-        self, node: Member, topic: str, own_codec: Codec[Any] | None, queue: int | None, limit: Limit | None = None
+        self, discovery: Discovery, topic: str, own_codec: Codec[Any] | None, queue: int | None, limit: Limit | None
     ) -> None:
         self.several = self.left = False
         self.floods = 0
@@ -86,7 +86,7 @@ class Intake:
         self._trace = False  # somebody is to be muted: where do its messages come from?
         self._flooding, self._flooded_at = _NOBODY, 0
         self.messages = self.drops = self.rejected = self.bytes_received = 0
-        self._node = node
+        self._discovery = discovery
         self._topic = topic
         self._codec = own_codec
         self._codecs: dict[bytes, Codec[Any]] = {} if own_codec is None else {own_codec.hash: own_codec}
@@ -102,15 +102,15 @@ class Intake:
         self._connected: set[str] = set()
         self._warned: set[bytes | str] = set()
         self._timeout = -2
-        self.socket = node.connecting_socket(zmq.SUB)
-        self._watch = node.discovery.watch("publisher", topic)
+        self.socket = discovery.connecting_socket(zmq.SUB)
+        self._watch = discovery.watch("publisher", topic)
         if queue is None:
             self.socket.setsockopt(zmq.CONFLATE, 1)
         else:
             self.socket.setsockopt(zmq.RCVHWM, queue)
         self.socket.setsockopt(zmq.SUBSCRIBE, self._prefix)
         self._recv = self.socket.recv
-        node.connect_wake(self.socket)
+        discovery.connect_wake(self.socket)
         self._connect()
 
     @property
@@ -168,7 +168,7 @@ class Intake:
 
     def close(self) -> None:
         """Close the socket."""
-        self._node.discovery.unwatch(self._watch)
+        self._discovery.unwatch(self._watch)
         self.socket.close()
 
     # --- checking -------------------------------------------------------------------------------------------------
@@ -237,7 +237,7 @@ class Intake:
         name = next((peer.node for peer in self._watch.peers if peer.entry.endpoint == endpoint), endpoint)
         self._warn(f"flood {endpoint}", f"{self._topic}: {name} floods it, and is muted while it goes on")
         self._connect()
-        self._node.discovery.wake_at(self._topic, self._muted.ends)
+        self._discovery.wake_at(self._topic, self._muted.ends)
 
     def _new_stream(self, frame: bytes) -> Stream | None:
         """The first message of a publisher: what its next ones are compared with; None if this is no message."""
@@ -268,7 +268,7 @@ class Intake:
         """Make a codec for a type of which only the schema is known; False when this subscriber wants its own type."""
         if self._codec is not None:
             return False
-        known = self._node.discovery.schema(schema.hex())
+        known = self._discovery.schema(schema.hex())
         if known is None:
             return False
         try:
@@ -297,7 +297,7 @@ class Intake:
         assert self._codec is not None
         return SchemaError(
             f"{self._topic}: {node} publishes {', '.join(types)} ({', '.join(hashes)}), "
-            f"{self._node.name} expects {self._codec.name} ({self._codec.hash.hex()})"
+            f"{self._discovery.name} expects {self._codec.name} ({self._codec.hash.hex()})"
         )
 
     def _connect(self) -> None:
@@ -308,14 +308,14 @@ class Intake:
             endpoint = peer.entry.endpoint
             if self._suits(peer.entry):
                 wanted[endpoint] = peer.entry
-                one_clock &= peer.computer == self._node.network.computer.name
+                one_clock &= peer.computer == self._discovery.network.computer.name
             else:
                 self._warn(endpoint, str(self._mismatch(peer.node, peer.entry.types, peer.entry.hashes)))
         for endpoint in self._muted.endpoints():
             wanted.pop(endpoint, None)
         for endpoint in wanted.keys() - self._connected:
             try:
-                self._node.connect(self.socket, wanted[endpoint])
+                self._discovery.connect(self.socket, wanted[endpoint])
             except zmq.ZMQError as error:  # a member has registered what is no address: not our end
                 _log.warning("%s: cannot connect to %r: %s", self._topic, endpoint, error.strerror)
         for endpoint in self._connected - wanted.keys():

@@ -1,4 +1,4 @@
-"""A member of a network: its sockets, what finds others for it, and what is made of it and ends with it."""
+"""A member of a network: what finds others for it, and what is made of it and ends with it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Protocol, Self, TypeVar
 import zmq
 
 from bifrost import security, wire
-from bifrost.directory import Entry
-from bifrost.discovery import WAKE_ENDPOINT, Discovery
+from bifrost.discovery import Discovery
 from bifrost.errors import Error, TimeoutError
 from bifrost.graph import Graph
 from bifrost.network import Network
@@ -80,22 +79,6 @@ class Member:
         for socket in self._shared:
             socket.close()
         self._context.term()
-
-    def listening_socket(self, kind: int) -> zmq.Socket[bytes]:
-        """A socket to bind."""
-        return security.listening_socket(self._context, kind, self.network)
-
-    def connecting_socket(self, kind: int) -> zmq.Socket[bytes]:
-        """A socket to connect."""
-        return security.connecting_socket(self._context, kind, self.network)
-
-    def connect(self, socket: zmq.Socket[bytes], entry: Entry) -> None:
-        """Connect a socket to an entry of a node."""
-        security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
-
-    def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
-        """Let the discovery thread wake a subscriber: it publishes the bare topic when its publishers change."""
-        socket.connect(WAKE_ENDPOINT)
 
     @property
     def daemon_silent(self) -> str:

@@ -9,11 +9,22 @@ aliases are equal when a program runs differs from one NumPy to the next.
 
 from __future__ import annotations
 
+from enum import Enum
+from operator import methodcaller
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 
-from bifrost.array_kind import ArrayKind
+# For comparisons; arrays are asked for their bytes, in C order, without NumPy being imported here.
+_encode = msgspec.msgpack.Encoder(enc_hook=methodcaller("tobytes")).encode
+
+
+class ArrayKind(Enum):
+    """What the elements of an array field are, by NumPy's name of them; marks the field's annotation."""
+
+    FLOAT64 = "float64"
+    UINT8 = "uint8"
+
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,9 +47,7 @@ class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=Fa
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        from bifrost.arrays import ENCODER
-
-        return ENCODER.encode(self) == ENCODER.encode(other)
+        return _encode(self) == _encode(other)
 
     def __ne__(self, other: object) -> bool:  # Struct has one of its own, which knows nothing of arrays
         return not self == other

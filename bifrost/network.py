@@ -12,10 +12,12 @@ import os
 import random
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import zmq
 
 from bifrost.errors import ConfigurationError
@@ -298,7 +300,32 @@ def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants]:
     computers = tuple(_read_computer(path, index, entry) for index, entry in enumerate(entries))
     if len({computer.name for computer in computers}) != len(computers):
         raise ConfigurationError(f"{path}: computers: expected names that differ")
-    return computers, Grants.read(content, path)
+    return computers, read_grants(content, path)
+
+
+def read_grants(content: Mapping[str, Any], where: Path) -> Grants:
+    """The grants of a network file.
+
+    Raises:
+        ConfigurationError: they are not what is expected.
+    """
+    names = dict[str, tuple[str, ...]]
+    try:
+        grants = Grants(
+            msgspec.convert(content.get("owners", {}), dict[str, str]),
+            msgspec.convert(content.get("publishers", {}), names),
+            msgspec.convert(content.get("servers", {}), names),
+        )
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"{where}: owners, publishers, servers: {error}") from None
+    for name, key in grants.owners.items():
+        if len(key) != _KEY_LENGTH:
+            raise ConfigurationError(f"{where}: owners.{name}: expected a public key of {_KEY_LENGTH} characters")
+    for table, topics in (("publishers", grants.publishers), ("servers", grants.servers)):
+        for topic, owners in topics.items():
+            if not owners or not grants.owners.keys() >= set(owners):
+                raise ConfigurationError(f"{where}: {table}.{topic}: expected names of owners, got {list(owners)}")
+    return grants
 
 
 def _read_computer(path: Path, index: int, entry: object) -> Computer:

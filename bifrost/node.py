@@ -62,11 +62,11 @@ class Node(Member):
         host = self.network.computer.host
         if latched:
             codec(message_type)  # a type that no message can have is refused before anything is opened
-            latch = Latch(self.listening_socket(zmq.XPUB), host, topic, self.discovery)
+            latch = Latch(self.discovery.listening_socket(zmq.XPUB), host, topic, self.discovery)
             return self._keep(Publisher(self, latch, topic, message_type))
         with self._lock:
             if self._outlet is None:
-                self._outlet = Outlet(self.listening_socket(zmq.PUB), host)
+                self._outlet = Outlet(self.discovery.listening_socket(zmq.PUB), host)
                 self._shared.append(self._outlet.socket)
             outlet = self._outlet
         return self._keep(Publisher(self, outlet, topic, message_type))

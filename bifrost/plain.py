@@ -6,10 +6,9 @@ import math
 import typing
 from typing import Any
 
-from bifrost.array_kind import ArrayKind
 from bifrost.errors import SchemaError
-from bifrost.messages import M, Message
-from bifrost.schema import array_kind, field_types, list_type, optional_type
+from bifrost.messages import ArrayKind, M, Message
+from bifrost.reflection import array_kind, field_types, list_type, optional_type
 
 
 def to_builtins(value: Any) -> Any:

@@ -6,19 +6,17 @@ import functools
 import secrets
 import threading
 from time import monotonic_ns
-from typing import TYPE_CHECKING, Generic
+from typing import Generic
 
 import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.discovery import Discovery
 from bifrost.encoding import codec
 from bifrost.errors import Error
 from bifrost.member import Member
 from bifrost.messages import M
-
-if TYPE_CHECKING:
-    from bifrost.discovery import Discovery
 
 _NOBLOCK = int(zmq.NOBLOCK)
 _MAX_SIZE = wire.MAX_MESSAGE_SIZE

@@ -6,20 +6,29 @@ import os
 import select
 import threading
 from collections import deque
+from collections.abc import Callable
+from typing import Generic, TypeVar
 
-from bifrost.intake import Checked, Intake
-
+T = TypeVar("T")
 _LOOK = 1000  # it looks whether it is closed at least this often [ms]
 
 
-class Reservoir:
+class Reservoir(Generic[T]):
     """Messages that a thread takes in at once and holds up to a depth; of more, the oldest are dropped."""
 
-    def __init__(self, intake: Intake, depth: int, name: str) -> None:
+    def __init__(self, take: Callable[[int], T | None], done: Callable[[], None], depth: int, name: str) -> None:
+        """Begin.
+
+        Args:
+            take: waits so long [ms] for the next message.
+            done: closes what it is taken from; called by the thread, as its last.
+            depth: how many messages are held.
+            name: of the thread.
+        """
         self.evicted = 0
-        self._intake = intake
+        self._take, self._done = take, done
         self._depth = depth
-        self._held: deque[Checked] = deque()
+        self._held: deque[T] = deque()
         self._lock = threading.Lock()
         self._filled = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable while anything is held, or nudged
         self._nudged = False
@@ -39,14 +48,14 @@ class Reservoir:
         """For polling."""
         return self._filled
 
-    def within(self, milliseconds: int) -> Checked | None:
+    def within(self, milliseconds: int) -> T | None:
         """The oldest message held; waits for one, for ever if negative."""
         checked = self.now()
         if checked is None and self._poll.poll(milliseconds):
             checked = self.now()
         return checked
 
-    def now(self) -> Checked | None:
+    def now(self) -> T | None:
         """The oldest message held, if any."""
         with self._lock:
             checked = self._held.popleft() if self._held else None
@@ -71,7 +80,7 @@ class Reservoir:
 
     def _run(self) -> None:
         while not self._closing:
-            checked = self._intake.within(_LOOK)
+            checked = self._take(_LOOK)
             if checked is None:
                 continue
             with self._lock:
@@ -81,4 +90,4 @@ class Reservoir:
                 elif not self._held:
                     os.eventfd_write(self._filled, 1)
                 self._held.append(checked)
-        self._intake.close()
+        self._done()

@@ -57,7 +57,7 @@ class Server(Generic[M, R]):
         self._topic = topic.encode()
         self._computer = wire.computer_id()
         self._closed = False
-        self.socket = node.listening_socket(zmq.ROUTER)
+        self.socket = node.discovery.listening_socket(zmq.ROUTER)
         self.socket.setsockopt(zmq.LINGER, 100)  # the last reply still leaves when the node closes
         self.socket.bind(f"tcp://{node.network.computer.host}:*")
         entry = Entry(

@@ -15,7 +15,7 @@ from bifrost.errors import SchemaError
 from bifrost.intake import Checked, Intake
 from bifrost.limits import LOOKS, Limit
 from bifrost.member import Member
-from bifrost.messages import M, Message
+from bifrost.messages import M
 from bifrost.reservoir import Reservoir
 
 Drop = Literal["newest", "oldest"]
@@ -63,11 +63,11 @@ class Subscriber(Generic[M]):
         self._woken = False
         self._closed = False
         self._full = False  # the last look took as many as it was to
-        self._intake = Intake(node, topic, own, queue, limit)
-        self._reservoir = (
-            Reservoir(self._intake, queue, f"{topic} to {node.name}") if queue and drop == "oldest" else None
-        )
-        self._source: Intake | Reservoir = self._reservoir or self._intake
+        intake = self._intake = Intake(node.discovery, topic, own, queue, limit)
+        self._reservoir: Reservoir[Checked] | None = None
+        if queue and drop == "oldest":
+            self._reservoir = Reservoir(intake.within, intake.close, queue, f"{topic} to {node.name}")
+        self._source: Intake | Reservoir[Checked] = self._reservoir or intake
         types, hashes, schemas = ((), (), ()) if own is None else ((own.name,), (own.hash.hex(),), (own.schema,))
         self._key = node.discovery.announce(Entry("subscriber", topic, types, hashes), schemas, self._counts)
 
@@ -267,6 +267,3 @@ class Subscriber(Generic[M]):
             self._undecodable += 1
             return None
         return Received(message, stamp, sequence, stream.name, arrived)
-
-
-AnySubscriber = Subscriber[Message]

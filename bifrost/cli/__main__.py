@@ -6,7 +6,8 @@ import sys
 
 import typer
 
-from bifrost.cli import service, topic
+from bifrost.cli.services import service
+from bifrost.cli.topics import topic
 from bifrost.errors import Error
 
 app = typer.Typer(

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from bifrost import completion
+from bifrost.cli import completion
 from bifrost.cli.terminal import (
     DAEMON_TIMEOUT,
     Json,
@@ -23,7 +23,7 @@ from bifrost.errors import NoServerError
 from bifrost.graph import End, Graph, ServiceInfo
 from bifrost.node import Node
 from bifrost.plain import from_builtins, to_builtins
-from bifrost.schema import type_from_schema
+from bifrost.reflection import type_from_schema
 
 service = typer.Typer(
     name="service", help="See and call what is served on Bifrost.", no_args_is_help=True, rich_markup_mode=None

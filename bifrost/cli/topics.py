@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from bifrost import completion
+from bifrost.cli import completion
 from bifrost.cli.terminal import (
     DAEMON_TIMEOUT,
     Json,
@@ -30,7 +30,7 @@ from bifrost.health import counts
 from bifrost.messages import Message
 from bifrost.node import Node
 from bifrost.plain import from_builtins, to_builtins
-from bifrost.schema import type_from_schema
+from bifrost.reflection import type_from_schema
 from bifrost.subscriber import Received, Subscriber
 
 _QUEUE = 10_000  # messages; more than a second of anything

@@ -158,7 +158,7 @@ def test_the_daemon_tells_how_it_fares(own_net: BifrostNetwork) -> None:
 def test_the_daemon_survives_what_a_member_sends(net: BifrostNetwork) -> None:
     node = net.node("rogue")
     record = directory.NodeRecord("ghost", 1, 2, "localhost", 3)
-    socket = node.connecting_socket(zmq.DEALER)
+    socket = node.discovery.connecting_socket(zmq.DEALER)
     socket.connect(net.network.computer.daemon)
     for content in (b"", b"\xc1", b"\x00" * 1000, b"\x91" * 5000, directory.encode({"type": "register", "node": 1})):
         socket.send(content)

@@ -51,7 +51,7 @@ def test_nodes_that_come_and_go_lose_nobody_a_message(net: BifrostNetwork) -> No
                 guest.publisher(f"lab/guest_{number}", Sample)
                 guest.subscriber("lab/sample", Sample)
             return
-        socket = watching.connecting_socket(zmq.DEALER)
+        socket = watching.discovery.connecting_socket(zmq.DEALER)
         socket.connect(net.network.computer.daemon)
         entry = Entry("publisher", "lab/sample", ("Sample",), (bifrost.codec(Sample).hash.hex(),), "tcp://127.0.0.1:9")
         record = NodeRecord(f"ghost_{number}", secrets.randbits(63), 1, "localhost", time.monotonic_ns(), (entry,))
@@ -134,7 +134,7 @@ def test_a_server_refuses_nonsense_and_counts_it(net: BifrostNetwork) -> None:
         return Answer(origin, len(handled))
 
     server = net.node("server").server("lab/ask", Question, Answer, handle)
-    rogue = net.node("rogue").connecting_socket(zmq.DEALER)
+    rogue = net.node("rogue").discovery.connecting_socket(zmq.DEALER)
     rogue.connect(server.socket.getsockopt_string(zmq.LAST_ENDPOINT))
     question, answer = bifrost.codec(Question), bifrost.codec(Answer)
 
@@ -182,7 +182,7 @@ def test_a_server_refuses_nonsense_and_counts_it(net: BifrostNetwork) -> None:
 
 def test_the_daemon_refuses_nonsense_and_counts_it(own_net: BifrostNetwork) -> None:
     node = own_net.node("rogue")
-    rogue = node.connecting_socket(zmq.DEALER)
+    rogue = node.discovery.connecting_socket(zmq.DEALER)
     rogue.connect(own_net.network.computer.daemon)
     before = set(node.graph(10.0).nodes)
     register = msgspec.to_builtins(directory.Register(NodeRecord("ghost", 1, 2, "localhost", 3)))

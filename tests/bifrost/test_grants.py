@@ -16,7 +16,7 @@ import zmq
 
 import bifrost
 from bifrost import Grants, directory
-from bifrost.network import own_key_file
+from bifrost.network import own_key_file, read_grants
 from bifrost.security import connect
 from harness.bifrost_network import (
     Answer,
@@ -129,7 +129,8 @@ def test_a_name_and_an_address_under_which_another_one_listens_are_not_believed(
     victim = net.node("victim", "near")
     kinds = {evil: [zmq.DEALER], victim: [zmq.SUB, zmq.SUB]}
     with contextlib.ExitStack() as opened:
-        sockets = [opened.enter_context(node.connecting_socket(kind)) for node in kinds for kind in kinds[node]]
+        opening = [node.discovery.connecting_socket(kind) for node in kinds for kind in kinds[node]]
+        sockets = [opened.enter_context(socket) for socket in opening]
         liar, believing, knowing = sockets
         connect(liar, net.network.computer.daemon, keys["bifrostd"].encode())
         liar.send(directory.encode(directory.Register(lie)))
@@ -141,7 +142,7 @@ def test_a_name_and_an_address_under_which_another_one_listens_are_not_believed(
 
         for direct, key in ((believing, keys["arm"]), (knowing, "")):
             direct.setsockopt(zmq.SUBSCRIBE, b"")
-            victim.connect(direct, announced(entry, key))
+            victim.discovery.connect(direct, announced(entry, key))
         until(lambda: heard_by(knowing), "who asks for the key that is there hears it")
         assert not any(heard_by(believing) for _ in range(20))
 
@@ -154,7 +155,7 @@ def announced(entry: directory.Entry, key: str) -> directory.Entry:
 def test_nobody_speaks_for_an_owner(net: BifrostNetwork) -> None:
     arm, member = net.node("arm", "near", "arm"), net.node("member", "near")
     connected(arm.publisher(OWNED, Sample), member.subscriber(OWNED, Sample, queue=100))
-    socket = member.connecting_socket(zmq.DEALER)
+    socket = member.discovery.connecting_socket(zmq.DEALER)
     connect(socket, net.network.computer.daemon, net.network.daemon_key)
     mine = arm.discovery.incarnation
     for lie in (
@@ -210,7 +211,7 @@ def test_a_record_with_another_key_loses_what_is_not_its_nodes() -> None:
             directory.Entry(kind, topic, (), (), "tcp://127.0.0.1:1", key=key)
             for kind, topic in (("publisher", OWNED), ("server", SERVICE), ("publisher", FREE), ("subscriber", OWNED))
         )
-        record, refusals = grants.sift(directory.NodeRecord("node", 1, 1, "near", 1, entries))
+        record, refusals = directory.NodeRecord("node", 1, 1, "near", 1, entries).sifted(grants)
         assert (len(record.entries), len(refusals)) == (kept, 4 - kept)
 
 
@@ -241,4 +242,4 @@ def test_keys_are_for_their_process_alone(net: BifrostNetwork) -> None:
 )
 def test_grants_that_are_none_are_refused(content: dict[str, object], what: str) -> None:
     with pytest.raises(bifrost.ConfigurationError, match=what):
-        Grants.read(content, Path("network.json"))
+        read_grants(content, Path("network.json"))

@@ -28,7 +28,7 @@ class Rogue:
 
     def __init__(self, network: BifrostNetwork) -> None:
         self.node = network.node("rogue")
-        self.socket = self.node.listening_socket(zmq.PUB)
+        self.socket = self.node.discovery.listening_socket(zmq.PUB)
         self.socket.bind("tcp://127.0.0.1:*")
         codec = bifrost.codec(Sample)
         endpoint = self.socket.getsockopt_string(zmq.LAST_ENDPOINT)

@@ -101,7 +101,7 @@ def test_a_late_reply_is_never_taken_for_another(net: BifrostNetwork) -> None:
 def test_a_reply_to_another_request_is_passed_over(net: BifrostNetwork) -> None:
     """A server that answers with old request ids before the right one."""
     node = net.node("odd")
-    socket = node.listening_socket(zmq.ROUTER)
+    socket = node.discovery.listening_socket(zmq.ROUTER)
     socket.bind("tcp://127.0.0.1:*")
     question, answer = bifrost.codec(Question), bifrost.codec(Answer)
     hashes = (question.hash.hex(), answer.hash.hex())
@@ -182,7 +182,7 @@ def rogue_call(net: BifrostNetwork) -> Iterator[Callable[[Peer, bytes], list[byt
             service = node.graph().services.get("lab/ask")
             return service.servers[-1].endpoint if service and service.servers else None
 
-        socket = node.connecting_socket(zmq.DEALER)
+        socket = node.discovery.connecting_socket(zmq.DEALER)
         sockets.append(socket)
         socket.connect(until(endpoint, "the server is known") or "")
         socket.send(frame)

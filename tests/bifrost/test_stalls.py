@@ -31,7 +31,7 @@ def test_a_full_server_lives_through_the_end_of_its_client(net: BifrostNetwork) 
     client = node.client("lab/ask", Question, Answer)
     assert client.call(Question("count", 0.0), PATIENCE).handled == 0
     [server] = node.graph(PATIENCE).services["lab/ask"].servers
-    with node.connecting_socket(zmq.DEALER) as socket:
+    with node.discovery.connecting_socket(zmq.DEALER) as socket:
         socket.setsockopt(zmq.SNDHWM, REQUESTS)
         socket.connect(server.endpoint)
         client.ask(Question("sleep", STALL), PATIENCE)

@@ -164,7 +164,7 @@ class Party:
         """What a member says on the wire when it does something."""
         tap = self.tap(port)
         with bifrost.Node("recorded", network=self.net.network) as node:
-            socket = node.connecting_socket(kind)
+            socket = node.discovery.connecting_socket(kind)
             socket.connect(tap.endpoint)
             act(socket)
             socket.close()
@@ -312,7 +312,7 @@ def test_resets_and_flipped_bits_within_frames(party: Party) -> None:
             tap = party.tap(serving)
             at = handshake + chance.randrange(len(question))
             tap.cut_at, tap.flip_at = (at, None) if number % 2 else (None, at)
-            socket = member.connecting_socket(zmq.DEALER)
+            socket = member.discovery.connecting_socket(zmq.DEALER)
             socket.connect(tap.endpoint)
             socket.send(question)
             until(functools.partial(getattr, tap, "torn"), "the frame is torn")

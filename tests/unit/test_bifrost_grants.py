@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from bifrost import Charter, Grants
 from bifrost.directory import Entry, NodeRecord
 from bifrost.grants import DAEMON, MEMBER
+from bifrost.network import read_grants
 from harness.examples import examples
 
 NAMES = ("arm", "eye", DAEMON)
@@ -51,7 +52,7 @@ def test_a_node_keeps_what_it_may_have_and_each_refusal_is_told(
         else:
             verb = "publish" if entry.kind == "publisher" else "serve"
             refusals.append(f"node wants to {verb} {entry.topic}, which is {' or '.join(owners)}'s: refused")
-    sifted, told = grants.sift(record, proven)
+    sifted, told = record.sifted(grants, proven)
     assert (sifted.entries, told) == (tuple(kept), refusals)
     assert (sifted is record) == (not refusals)
 
@@ -62,7 +63,7 @@ def test_grants_are_the_same_through_the_network_file(
     publishers: dict[str, tuple[str, ...]], servers: dict[str, tuple[str, ...]]
 ) -> None:
     grants = Grants(KEYS, publishers, servers)
-    assert Grants.read(json.loads(json.dumps(grants.plain())), Path("network.json")) == grants
+    assert read_grants(json.loads(json.dumps(grants.plain())), Path("network.json")) == grants
     assert grants.daemon == DAEMON
     assert [grants.owner_of(key) for key in (*KEYS.values(), "")] == [*NAMES, MEMBER]
     named = {name for owners in (*publishers.values(), *servers.values()) for name in owners}
@@ -71,5 +72,5 @@ def test_grants_are_the_same_through_the_network_file(
 
 def test_without_owners_everything_is_everybodys() -> None:
     record = NodeRecord("node", 1, 1, "near", 1, (Entry("publisher", "a", (), ()),))
-    assert Grants().sift(record, MEMBER) == (record, [])
+    assert record.sifted(Grants(), MEMBER) == (record, [])
     assert (Grants().plain(), Grants().daemon) == ({}, MEMBER)

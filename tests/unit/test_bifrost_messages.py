@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bifrost
-from bifrost.array_kind import ArrayKind
-from bifrost.messages import Message
-from bifrost.schema import Schema, field_types, schema_of, type_from_schema
+from bifrost.messages import ArrayKind, Message
+from bifrost.reflection import field_types, schema_of, type_from_schema
+from bifrost.schema import Schema
 from harness.examples import examples
 
 
