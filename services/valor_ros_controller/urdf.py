@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import atan2, hypot
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import mujoco
@@ -19,9 +18,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-
-if TYPE_CHECKING:
-    from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link
+from valor.valor_ros_controller.kinematic_tree import KinematicTree, Link
 
 # Element, its attributes, position (3,) [m], rotation (3, 3).
 Shape = tuple[str, dict[str, str], FloatArray, FloatArray]

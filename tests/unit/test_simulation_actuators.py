@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
+from valor.common.errors import ConfigurationError
 from valor.common.messages import JointMode, Motor
 from valor.common.table import checked, plain
 from valor.robot.description import RobotDescription
@@ -183,8 +184,8 @@ def test_gears_without_feed_forward_go_by_position_alone_and_weak_motors_give_th
 def test_gears_of_unknown_joints_are_refused() -> None:
     tables = plain(ROBOT.tables)
     tables["actuators"]["ideal"]["gears"] = {"r_tail": {}}
-    with pytest.raises(ValueError, match=r"actuators.ideal.gears.r_tail: expected one of joints or groups"):
-        checked(RobotTables, tables)
+    with pytest.raises(ConfigurationError, match=r"actuators.ideal.gears.r_tail: expected one of joints or groups"):
+        RobotDescription(ROBOT.folder, checked(RobotTables, tables))
 
 
 def test_holding_keeps_the_joints_where_they_are() -> None:

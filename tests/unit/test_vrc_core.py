@@ -37,7 +37,7 @@ from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.footstep_controller import State
-from valor.valor_ros_controller.kinematic_tree import read
+from valor.valor_ros_controller.model_tree import read
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints

@@ -13,7 +13,8 @@ from harness.places import ROBOTS
 from valor.robot.commanded_limits import VELOCITY_FACTOR
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
-from valor.valor_ros_controller.kinematic_tree import KinematicTree, read
+from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.model_tree import read
 
 NAMES = [path.parent.name for path in ROBOTS.glob("*/robot.yaml")]
 

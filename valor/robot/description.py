@@ -20,6 +20,7 @@ from valor.common.arrays import FloatArray
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.table import Table, TableError, checked, read
+from valor.robot.rules import RULES
 from valor.robot.tables import RobotTables
 
 T = TypeVar("T", bound=Table)
@@ -36,10 +37,18 @@ class RobotDescription:
     """
 
     def __init__(self, folder: Path, tables: RobotTables) -> None:
+        """Of tables that fit each other.
+
+        Raises:
+            ConfigurationError: they break a rule (``rules.py``).
+        """
         self.folder = folder
         self.tables = tables
         self.joints: tuple[str, ...] = tuple(tables.joints)
         self._read: dict[type[Table], Table] = {}
+        for rule in RULES:
+            for broken in rule(tables):
+                raise self.error(broken.path, broken.what)
 
     @classmethod
     def load(cls, folder: Path, control_rate: float | None = None) -> RobotDescription:

@@ -6,12 +6,9 @@ Rules that need the robot's geometry stand in ``checks.py``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING
 
 from valor.common.table import TableError
-
-if TYPE_CHECKING:
-    from valor.robot.tables import RobotTables
+from valor.robot.tables import RobotTables
 
 REQUIRED_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm", "neck", "left_hand", "right_hand")
 """What controllers and controllers.yaml name; a robot may leave some empty, but says so."""

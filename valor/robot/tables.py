@@ -15,7 +15,6 @@ from valor.robot.motion_tables import (
     SelfCollision,
     Walking,
 )
-from valor.robot.rules import RULES
 
 Turn = Annotated[float, Meta(ge=-13, le=13)]
 """Two turns either way [rad]: more is in degrees."""
@@ -143,7 +142,7 @@ Section = dict[str, Any]
 
 
 class RobotTables(Table, kw_only=True):
-    """robot.yaml as a whole."""
+    """robot.yaml as a whole; what must hold between its tables stands in ``rules.py``."""
 
     name: str
     model: str  # MJCF file in the robot's folder
@@ -179,11 +178,6 @@ class RobotTables(Table, kw_only=True):
     devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order in which they are found and enabled
     calibration: Calibration = Calibration()
     supply: SupplyLimits = SupplyLimits()
-
-    def __post_init__(self) -> None:
-        for rule in RULES:
-            for broken in rule(self):
-                raise broken
 
     def device_joints(self, name: str) -> list[str]:
         """The joints that a device moves, in its units' order."""
