@@ -1,6 +1,6 @@
 """The Valor ROS Controller as a service: connects the core with Bifrost and ROS, and turns the loop.
 
-Three threads (``docs/valor_ros_controller.md`` holds them against figure 4.2): this one waits for Proprioceptor and
+Three threads (figure 4.2 has six; see ``docs/valor_ros_controller.md``): this one waits for Proprioceptor and
 runs the controllers and the publisher; the ROS thread runs callbacks; the behavior commander waits for the Motion
 Manager's replies.
 """

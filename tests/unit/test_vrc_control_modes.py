@@ -144,21 +144,3 @@ def test_a_wrong_table_is_refused_with_file_and_key(tmp_path, key, value, words)
     for word in (str(file), *words):
         assert word in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_the_documented_table_is_the_table():
-    page = (REPOSITORY / "docs" / "valor_ros_controller.md").read_text()
-    rows = {}
-    for line in page.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 8 and cells[0].strip("`") in TABLE.modes:
-            rows[cells[0].strip("`")] = cells
-    assert list(rows) == list(TABLE.modes)
-    for name, (_, bdi, upper_body, switch, motion, joints, robots, to) in rows.items():
-        mode = TABLE.modes[name]
-        assert (int(bdi), int(upper_body), switch) == (mode.bdi, mode.upper_body, mode.switch), name
-        assert motion == (" → ".join(mode.motion) if mode.motion else "–"), name
-        for cell, controllers in ((joints, mode.joint_controllers), (robots, mode.robot_controllers)):
-            short = [name.removesuffix("_traj_controller").removesuffix("_controller") for name in controllers]
-            assert cell == (", ".join(short) or "–"), name
-        assert {part.strip() for part in to.split(",")} == mode.to, name
