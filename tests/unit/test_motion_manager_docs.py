@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 
 import pytest
 
 from harness.places import REPOSITORY
-from valor.common.behaviors import INTERNAL_STATES, Behavior
+from valor.common.behaviors import INTERNAL_STATES, Attention, Behavior, Manipulation
 from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
     JOINT_ACCESS,
-    LOCOMOTION_TRANSITIONS,
     MANIPULATION_TRANSITIONS,
 )
+
+# Those of Locomotion follow from the behaviors' (test_behavior_tables), and the page says so.
+TRANSITIONS: dict[type[StrEnum], Mapping] = {  # type: ignore[type-arg]
+    Manipulation: MANIPULATION_TRANSITIONS,
+    Attention: ATTENTION_TRANSITIONS,
+}
 
 
 def rows(*cells: tuple[str, ...]) -> str:
@@ -23,47 +28,37 @@ def rows(*cells: tuple[str, ...]) -> str:
     return "\n".join([header, "|" + "---|" * len(cells[0]), *body])
 
 
+def names(states: Iterable[str]) -> str:
+    return ", ".join(f"`{state}`" for state in states)
+
+
+def edges(row: Mapping[StrEnum, str]) -> str:
+    """Where a row leads, by source."""
+    sources = dict.fromkeys(sorted(row.values(), key=("T", "P", "I", "I2").index))
+    return "; ".join(f"{source}: {names(there for there in row if row[there] == source)}" for source in sources)
+
+
 def behaviors() -> str:
-    def cell(here: Behavior, there: Behavior) -> str:
-        return "–" if here is there else BEHAVIOR_TRANSITIONS[here].get(there, "·")
+    return rows(
+        ("from", "Locomotion, Manipulation, Attention", "to"),
+        *((f"`{each}`", names(INTERNAL_STATES[each]), edges(BEHAVIOR_TRANSITIONS[each])) for each in Behavior),
+    )
+
+
+def machines() -> str:
+    def to(machine: type[StrEnum]) -> str:
+        table = TRANSITIONS.get(machine, {})
+        return ". ".join(f"`{here}` → {edges(row)}" for here, row in table.items()) or "as above"
 
     return rows(
-        ("from \\ to", *(f"`{there}`" for there in Behavior)),
-        *((f"`{here}`", *(cell(here, there) for there in Behavior)) for here in Behavior),
+        ("FSM", "groups of robot.yaml that it moves", "edges"),
+        *((machine.__name__, names(JOINT_ACCESS[machine]), to(machine)) for machine in JOINT_ACCESS),
     )
 
 
-def edges(name: str, table: Mapping[StrEnum, Mapping[StrEnum, str]]) -> str:
-    lines = (
-        (f"`{here}`", ", ".join(f"`{there}` {source}" for there, source in row.items())) for here, row in table.items()
-    )
-    return rows((f"{name}: from", "to"), *lines)
+TABLES = {"behaviors": behaviors(), "machines": machines()}
 
 
-def tables() -> dict[str, str]:
-    machines: dict[str, Mapping] = {  # type: ignore[type-arg]
-        "Locomotion": LOCOMOTION_TRANSITIONS,
-        "Manipulation": MANIPULATION_TRANSITIONS,
-        "Attention": ATTENTION_TRANSITIONS,
-    }
-    return {
-        "behaviors": behaviors(),
-        "internal": rows(
-            ("behavior", "Locomotion", "Manipulation", "Attention"),
-            *((f"`{behavior}`", *(f"`{state}`" for state in states)) for behavior, states in INTERNAL_STATES.items()),
-        ),
-        "machines": "\n\n".join(edges(name, table) for name, table in machines.items()),
-        "access": rows(
-            ("FSM", "groups of robot.yaml"),
-            *(
-                (machine.__name__, ", ".join(f"`{group}`" for group in groups))
-                for machine, groups in JOINT_ACCESS.items()
-            ),
-        ),
-    }
-
-
-@pytest.mark.parametrize("table", tables())
+@pytest.mark.parametrize("table", TABLES)
 def test_the_page_has_the_table_of_the_code(table: str) -> None:
-    page = (REPOSITORY / "docs" / "motion_manager.md").read_text()
-    assert tables()[table] in page
+    assert TABLES[table] in (REPOSITORY / "docs" / "motion_manager.md").read_text()
