@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.messages import Proprioceptor
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 SPEEDS = (0.0, 0.3)  # [m/s]
 PAUSES = (0.1, 0.2, 0.3, 0.5)  # [s]

@@ -23,8 +23,8 @@ import numpy as np
 
 from benchmarks import pushes, walks
 from harness.closed_loop import ClosedLoop, load_robot
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
 def main() -> None:

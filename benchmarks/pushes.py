@@ -14,11 +14,11 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
-from valor.motion_manager.whole_body.balance.dcm import DcmLaw
-from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
+from valor.whole_body.balance.dcm import DcmLaw
+from valor.whole_body.model.arms import UpperBodyKinematics
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 DURATION = 0.1  # [s]

@@ -27,7 +27,7 @@ import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.messages import Proprioceptor
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 PARTS = {"stands": 0.0, "is pushed": 0.0, "walks": 0.4}  # part of the run → speed [m/s]
 PUSH, LASTS = (15.0, 5.0, 0.0), 0.1  # [N·s], [s]

@@ -9,13 +9,13 @@ import numpy as np
 from benchmarks.flights import over_stairs
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
-from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl.step_plan import FEET, PlanStep
+from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.5, 0, 0), (0.8, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
 WALK_DURATION = 20.0  # [s]

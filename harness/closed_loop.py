@@ -17,19 +17,15 @@ from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.common.table import checked, plain
-from valor.motion_manager.whole_body import (
-    FallDetector,
-    FloatingBaseEstimator,
-    RobotState,
-    UpperBodyReference,
-    WholeBodyCommand,
-    WholeBodyController,
-)
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
 from valor.robot.tables import RobotTables
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
+from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.controller import WholeBodyController
+from valor.whole_body.estimation.estimator import FloatingBaseEstimator
+from valor.whole_body.state import RobotState, UpperBodyReference, WholeBodyCommand
 
 MODES = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
 

@@ -16,12 +16,12 @@ from valor.common.poses import Pose
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.walking.gait import sole_poses
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
 from valor.valorctl.step_plan import FEET, PlanStep
 from valor.valorctl.step_planner import middle
+from valor.whole_body.walking.gait import sole_poses
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.swing import SolePose
 
 STEP_DURATION = 10.0  # no step takes longer, with the weight's transfer [s]
 REST = 1.0  # after the last step, before the feet are looked at [s]

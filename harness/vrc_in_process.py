@@ -26,10 +26,10 @@ from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_goals import HandGoals
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import UpperBody
-from valor.motion_manager.limiter import Limiter
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Limiter
 from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import ControlModeTable

@@ -17,8 +17,8 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import VelocityCommand
 from valor.motion_manager.handlers.velocity import VelocityHandler
-from valor.motion_manager.reflex import BalanceReflex
 from valor.robot.description import RobotDescription
+from valor.whole_body.reflex import BalanceReflex
 
 HELD = 3.0  # afterwards, by the joints' servos: who falls does so within it [s]
 STILL = 0.01  # the pelvis [m/s, rad/s]

@@ -13,7 +13,7 @@ import numpy as np
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest, JointMode, Motor, Proprioceptor
 from valor.comms_manager.latch import BehaviorLatch
-from valor.motion_manager.reflex import BalanceReflex
+from valor.whole_body.reflex import BalanceReflex
 
 SOFT_STOP, FREEZE, FALL = Behavior.SOFT_STOP, Behavior.FREEZE, Behavior.FALL
 """What may be asked for here."""

@@ -13,8 +13,8 @@ from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import AT_ONCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
 from valor.comms_manager.leader import Leader
-from valor.motion_manager.reflex import BalanceReflex
 from valor.service import Context, quiet_collector
+from valor.whole_body.reflex import BalanceReflex
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
 STOPS_AT_ONCE = 2  # requests that a period answers, at most

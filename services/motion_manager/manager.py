@@ -18,10 +18,10 @@ from valor.motion_manager.handlers.handler import AnyHandler, make_all
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.report import Reporter
 from valor.motion_manager.safety.custody import BROUGHT_TO_STAND
-from valor.motion_manager.safety.watchdogs import ProprioceptorWatchdog
-from valor.motion_manager.whole_body import RobotState
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.state import RobotState
+from valor.whole_body.watchdog import ProprioceptorWatchdog
 
 FAULTY = 0.01  # without a believable Proprioceptor, or with errors of ours, before the robot is let go [s]
 LOGGED = 10.0  # between lines on errors that go on [s]

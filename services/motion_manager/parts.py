@@ -10,7 +10,6 @@ from valor.common.behaviors import Locomotion
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_contact import HandContacts
 from valor.motion_manager.hands.hand_goals import HandGoals
-from valor.motion_manager.joints.command import MotorCommand
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import UpperBody
@@ -23,13 +22,17 @@ from valor.motion_manager.safety.custody import Custody
 from valor.motion_manager.safety.device_reactions import DeviceReactions
 from valor.motion_manager.safety.stance import Stance
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
-from valor.motion_manager.whole_body import FallDetector, FloatingBaseEstimator, RobotState, WholeBodyController
-from valor.motion_manager.whole_body.walking.gait import sole_poses
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.swing import SolePose
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.controller import WholeBodyController
+from valor.whole_body.estimation.estimator import FloatingBaseEstimator
+from valor.whole_body.motor_command import MotorCommand
+from valor.whole_body.state import RobotState
+from valor.whole_body.walking.gait import sole_poses
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.swing import SolePose
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
 class Parts:

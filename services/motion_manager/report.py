@@ -7,7 +7,7 @@ import numpy as np
 from valor.common.behaviors import Manipulation
 from valor.common.messages import MotionState
 from valor.motion_manager.parts import Parts
-from valor.motion_manager.whole_body import QpStatus
+from valor.whole_body.state import QpStatus
 
 _ZEROS = np.zeros(6)
 

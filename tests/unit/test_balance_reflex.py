@@ -8,7 +8,7 @@ import pytest
 from harness.walking_robot import Then, WalkingRobot
 from tests.unit.test_motion_manager_periods import ROBOT, N, Robot
 from valor.common.behaviors import INTERNAL_STATES, REFLEX, Behavior, Locomotion
-from valor.motion_manager.reflex import FAULTY, BalanceReflex
+from valor.whole_body.reflex import FAULTY, BalanceReflex
 
 VELOCITY = (0.3, 0.0, 0.0)
 STEP = 0.66  # of a step at it [s]

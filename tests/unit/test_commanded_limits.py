@@ -11,9 +11,9 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from harness.vrc_in_process import PERIOD, System
 from valor.common.arrays import FloatArray
-from valor.motion_manager.limiter import Limiter
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Limiter
 from valor.valor_ros_controller.controllers.configuration import ControllersTable, Settings
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest

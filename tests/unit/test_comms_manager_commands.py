@@ -18,8 +18,8 @@ from valor.common.topics import MOTOR
 from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
 from valor.comms_manager.latch import BehaviorLatch
 from valor.comms_manager.leader import Leader
-from valor.motion_manager.reflex import BalanceReflex
 from valor.valorctl.ros_domain import daemon_ports
+from valor.whole_body.reflex import BalanceReflex
 
 FIRST = 1000  # state that the world begins with
 OLDEST = round(COMMAND_TIMEOUT * 1e9) // PERIOD  # periods ago, of a state that may be answered still

@@ -15,7 +15,7 @@ from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest, Motor
 from valor.comms_manager.latch import BehaviorLatch
 from valor.comms_manager.leader import FALL, FREEZE, SOFT_STOP, Leader, drives
-from valor.motion_manager.reflex import BalanceReflex
+from valor.whole_body.reflex import BalanceReflex
 
 STOPS = (FALL, FREEZE, SOFT_STOP)
 LIFTED = {"left_foot_wrench": np.zeros(6)}

@@ -14,12 +14,12 @@ from harness.examples import examples
 from harness.places import REPOSITORY, ROBOTS
 from valor.common import resources
 from valor.common.errors import ConfigurationError
-from valor.motion_manager.tuning_tables import Tuning
 from valor.robot import checks, rules
 from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.profile import Profile
+from valor.whole_body.tuning_tables import Tuning
 
 ESCHER = ROBOTS / "escher"
 BOMB = "bomb0: &b0 [x, x, x, x, x, x, x, x]\n" + "".join(

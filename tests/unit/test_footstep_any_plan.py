@@ -24,9 +24,9 @@ from tests.unit.test_motion_manager_footsteps import Bench
 from valor.common.messages import Footstep
 from valor.footstep_converter.motion_system import footstep
 from valor.footstep_converter.plan import PlanError, PlannedStep, RunningPlan, convert, frame
-from valor.motion_manager.whole_body.walking import footsteps
-from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.soles import outline, overlap
+from valor.whole_body.walking import footsteps
+from valor.whole_body.walking.swing import SolePose
 
 S = FootstepExecutionStatus
 INDICES, INVALID, INCONSISTENT = S.ERR_INVALID_INCONSISTENT_INDICES, S.ERR_INVALID_PLAN, S.ERR_INCONSISTENT_STEP_PLAN

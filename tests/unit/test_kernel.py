@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from valor.motion_manager.kernel import Expression, Kernel, clipped
+from valor.common.kernel import Expression, Kernel, clipped
 
 
 def test_arrays_are_read_and_written_as_they_lie() -> None:

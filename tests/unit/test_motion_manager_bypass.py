@@ -13,7 +13,7 @@ from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.handlers.tuning import BalanceWeightsHandler, JointGainsHandler
 from valor.motion_manager.hands.hand_goals import GRACE
-from valor.motion_manager.tuning_tables import Tuning
+from valor.whole_body.tuning_tables import Tuning
 
 RIGHT = ROBOT.group_indices("right_arm")
 LEFT = ROBOT.group_indices("left_arm")

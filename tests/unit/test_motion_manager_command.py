@@ -11,9 +11,9 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
-from valor.motion_manager.joints.command import MotorCommand
-from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 from valor.robot.description import RobotDescription
+from valor.whole_body.motor_command import MotorCommand
+from valor.whole_body.state import QpStatus, WholeBodyCommand
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)

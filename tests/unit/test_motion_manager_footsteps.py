@@ -11,10 +11,10 @@ from valor.common.messages import Footstep, FootstepPlanRequest, StepStatus
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
+from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.swing import SolePose
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

@@ -11,10 +11,10 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON, JointReference, Setpoint
-from valor.motion_manager.joints.posture_move import PostureMove
-from valor.motion_manager.limiter import Limiter
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Limiter
+from valor.robot.posture_move import PostureMove
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 LIMITS = CommandedLimits.of_joints(ROBOT)

@@ -21,9 +21,9 @@ from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.handlers.velocity import VelocityHandler
 from valor.motion_manager.locomotion.balance import LONGEST_INFEASIBLE
 from valor.motion_manager.manager import FAULTY, MotionManager
-from valor.motion_manager.whole_body import QpStatus, WholeBodyCommand
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
+from valor.whole_body.state import QpStatus, WholeBodyCommand
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 MODEL = controller_model(ROBOT)

@@ -11,7 +11,7 @@ from tests.unit.test_motion_manager_periods import Robot
 from tests.unit.test_motion_manager_setpoints import ARM, ROBOT, Bench
 from valor.common.behaviors import Behavior
 from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON
-from valor.motion_manager.joints.posture_move import PostureMove
+from valor.robot.posture_move import PostureMove
 
 
 @given(st.floats(0.3, 5.0), st.floats(0.01, 0.99))

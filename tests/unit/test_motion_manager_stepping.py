@@ -18,8 +18,8 @@ from valor.motion_manager.handlers.handler import STALE
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.handlers.velocity import VelocityHandler
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.walking.footsteps import level_pose
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.whole_body.walking.footsteps import level_pose
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 NOW = 20_000_000_000  # robot time [ns]
 WALKING = (Behavior.STAND_PREP, Behavior.STAND, Behavior.WALK)

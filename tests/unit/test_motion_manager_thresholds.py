@@ -23,10 +23,10 @@ from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.handlers.tuning import BalanceWeightsHandler
 from valor.motion_manager.hands.hand_contact import HandContacts
 from valor.motion_manager.joints.joint_gains import CHANGE_TIME, JointGains
-from valor.motion_manager.joints.posture_move import PostureMove
 from valor.motion_manager.safety.stance import FEET_LOAD, FOOT_LOAD, UPRIGHT, Stance
-from valor.motion_manager.safety.watchdogs import LONGEST_GAP, ProprioceptorWatchdog
-from valor.motion_manager.tuning_tables import Tuning
+from valor.robot.posture_move import PostureMove
+from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.watchdog import LONGEST_GAP, ProprioceptorWatchdog
 
 TILT = UPRIGHT * ROBOT.read(Tuning).fall.tilt
 FOUND = Robot()

@@ -1,6 +1,6 @@
 """What a robot may be asked to do, as the tables of robot.yaml say: footsteps, walking, pelvis, distances to itself.
 
-What a controller wants tuned, and reads alone, stands beside it (``valor.motion_manager.tuning_tables``).
+What a controller wants tuned, and reads alone, stands beside it (``valor.whole_body.tuning_tables``).
 """
 
 from __future__ import annotations

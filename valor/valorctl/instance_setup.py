@@ -22,12 +22,12 @@ from valor.common.errors import ConfigurationError, ValorError, expected, requir
 from valor.common.instance import ClockMode, Instance, Recording, RosCommands, Settings
 from valor.common.processes import RECORDER
 from valor.common.resources import profile_file, robot_folder
-from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES
 from valor.valorctl import mode_names, recording_options
 from valor.valorctl.profile import Profile
 from valor.valorctl.ros_domain import daemon_ports
+from valor.whole_body.tuning_tables import Tuning
 
 OTHERS = 0o077  # what a mode grants to anybody but the owner
 

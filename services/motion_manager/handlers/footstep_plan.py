@@ -23,12 +23,12 @@ from valor.motion_manager.handlers.handler import RequestHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.walking.footsteps import Step
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, StepRule
+from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.walking.footsteps import Step
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.swing import SolePose
 
 TOGETHER = (0.02, 0.05)  # feet so well side by side are together [m, rad]
 

@@ -22,9 +22,9 @@ from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.tasks.table import WEIGHTS
-from valor.motion_manager.whole_body.tasks.weights import TaskWeights
 from valor.robot.description import RobotDescription
+from valor.whole_body.tasks.table import WEIGHTS
+from valor.whole_body.tasks.weights import TaskWeights
 
 KIND = "tuning"  # of every refusal
 

@@ -15,7 +15,7 @@ from valor.motion_manager.handlers.handler import Handler, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
 class VelocityHandler(Handler[VelocityCommand]):

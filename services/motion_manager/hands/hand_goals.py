@@ -21,11 +21,11 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
 from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
-from valor.motion_manager.tuning_tables import HandMotion, Tuning
-from valor.motion_manager.whole_body.model.dynamics import ModelJoints
-from valor.motion_manager.whole_body.state import RobotState
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.model import Model
+from valor.whole_body.model.dynamics import ModelJoints
+from valor.whole_body.state import RobotState
+from valor.whole_body.tuning_tables import HandMotion, Tuning
 
 SIDES = ("left", "right")
 GRACE = 0.05  # from a goal to its first motion, in which others learn that the arm is led by it [s]

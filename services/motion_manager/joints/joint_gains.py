@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.motion_manager.joints.joint_reference import Joints
-from valor.motion_manager.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
+from valor.whole_body.tuning_tables import Tuning
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]
 

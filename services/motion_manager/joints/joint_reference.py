@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.joints.posture_move import PostureMove
-from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.limiter import Limiter
+from valor.common.kernel import Expression, Kernel
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Limiter
+from valor.robot.posture_move import PostureMove
 
 Joints = npt.NDArray[np.bool_]  # (n,) which ones
 

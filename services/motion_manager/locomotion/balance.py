@@ -8,24 +8,19 @@ import numpy as np
 
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.motion_manager.hands.hand_contact import HandContacts
-from valor.motion_manager.joints.command import MotorCommand
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.locomotion.driver import Driver
 from valor.motion_manager.locomotion.posture_control import PostureControl
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body import (
-    FallDetector,
-    QpStatus,
-    RobotState,
-    UpperBodyReference,
-    WholeBodyCommand,
-    WholeBodyController,
-)
-from valor.motion_manager.whole_body.walking.footsteps import StepSource
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
+from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.controller import WholeBodyController
+from valor.whole_body.motor_command import MotorCommand
+from valor.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
+from valor.whole_body.walking.footsteps import StepSource
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 BLEND = 0.3  # over which the Whole-Body Controller takes the joints over [s]
 LONGEST_INFEASIBLE = 0.05  # the whole-body QP, without a break, before the robot is stopped [s]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from valor.common.behaviors import Locomotion
 from valor.motion_manager.locomotion.posture_control import PostureControl
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body import RobotState
+from valor.whole_body.state import RobotState
 
 JUST_BEGUN = "stand_prep has just begun"
 

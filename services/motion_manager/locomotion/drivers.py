@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from valor.common.behaviors import Behavior
-from valor.motion_manager.joints.command import MotorCommand
 from valor.motion_manager.locomotion.driver import Driver
 from valor.motion_manager.locomotion.get_up import GetUp
 from valor.motion_manager.locomotion.posture_control import PostureControl
 from valor.motion_manager.safety.custody import Custody
 from valor.motion_manager.safety.stance import Stance
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body import FallDetector, FloatingBaseEstimator, RobotState, WholeBodyController
+from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.controller import WholeBodyController
+from valor.whole_body.estimation.estimator import FloatingBaseEstimator
+from valor.whole_body.motor_command import MotorCommand
+from valor.whole_body.state import RobotState
 
 
 class Limp(Driver):

@@ -12,12 +12,12 @@ from math import asin, atan2, degrees, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.joints.command import MotorCommand
-from valor.motion_manager.joints.posture_move import PostureMove
-from valor.motion_manager.whole_body import RobotState
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Balance, KeyPose, load
+from valor.robot.posture_move import PostureMove
+from valor.whole_body.motor_command import MotorCommand
+from valor.whole_body.state import RobotState
 
 AT_REST = 0.5  # lying still, or having come to rest in a pose: angular velocity of the pelvis below [rad/s]
 COMING_TO_REST = 2.0  # at most so long after a pose's hold [s]

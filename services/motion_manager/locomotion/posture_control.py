@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.joints.command import MotorCommand
 from valor.motion_manager.joints.joint_reference import JointReference
-from valor.motion_manager.joints.posture_move import PostureMove
 from valor.robot.description import RobotDescription
+from valor.robot.posture_move import PostureMove
+from valor.whole_body.motor_command import MotorCommand
 
 SETTLING = 0.3  # after a move, until the posture counts as reached [s]
 AT_REST = 0.3  # joints slower than this have settled [rad/s]

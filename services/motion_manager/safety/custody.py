@@ -12,10 +12,10 @@ from collections.abc import Callable
 from valor.common.behaviors import REFLEX, Behavior, Locomotion
 from valor.common.topics import PROPRIOCEPTOR
 from valor.motion_manager.safety.stance import Stance
-from valor.motion_manager.safety.watchdogs import LONGEST_GAP, Gap
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.motion_manager.states.transitions import RESUMED, WAY_BACK, WAYS_TO
-from valor.motion_manager.whole_body import RobotState
+from valor.whole_body.state import RobotState
+from valor.whole_body.watchdog import LONGEST_GAP, Gap
 
 ASIDE = "the Comms Manager brings the robot to stand, whose Motion Manager fell silent"
 BROUGHT_TO_STAND = Gap("the Comms Manager brought the robot to stand", same_world=True)

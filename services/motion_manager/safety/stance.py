@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import acos, degrees
 
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body import RobotState
 from valor.robot.description import RobotDescription
+from valor.whole_body.state import RobotState
+from valor.whole_body.tuning_tables import Tuning
 
 UPRIGHT = 0.5  # of the tilt at which the robot counts as falling: at most so much to stand
 FOOT_LOAD = 0.15  # of the robot's weight: at least so much on each foot to stand

@@ -12,10 +12,10 @@ import pytest
 from harness.closed_loop import load_robot
 from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.tasks.table import motions
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.tasks.table import motions
 
 
 @pytest.fixture(scope="session")

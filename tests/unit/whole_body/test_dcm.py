@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.whole_body.balance.dcm import DcmLaw
-from valor.motion_manager.whole_body.balance.reference import followed, minimum_jerk
-from valor.motion_manager.whole_body.model.arms import UpperBodyKinematics
+from valor.common.kernel import Expression, Kernel
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.balance.dcm import DcmLaw
+from valor.whole_body.balance.reference import followed, minimum_jerk
+from valor.whole_body.model.arms import UpperBodyKinematics
 
 OMEGA = DcmLaw.natural_frequency(0.86, 9.81)
 STEP = 5e-4  # of the integration [s]

@@ -8,9 +8,9 @@ import pytest
 
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
-from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.tasks.table import motions
 from valor.robot.model import Model
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.tasks.table import motions
 
 STATES = 5
 

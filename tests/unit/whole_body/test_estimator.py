@@ -13,18 +13,19 @@ import pytest
 from harness.closed_loop import ClosedLoop
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.common.kernel import Expression, Kernel
 from valor.common.messages import Proprioceptor
-from valor.motion_manager.kernel import Expression, Kernel
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body import FloatingBaseEstimator, RobotState
-from valor.motion_manager.whole_body.estimation.attitude import LARGEST_LEVEL, Attitude
-from valor.motion_manager.whole_body.estimation.odometry import FEET, NOTHING, SIZE, Odometry
-from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.model.motion import FEET as FEET_MOTION
-from valor.motion_manager.whole_body.tasks.table import motions
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
+from valor.whole_body.estimation.attitude import LARGEST_LEVEL, Attitude
+from valor.whole_body.estimation.estimator import FloatingBaseEstimator
+from valor.whole_body.estimation.odometry import FEET, NOTHING, SIZE, Odometry
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.model.motion import FEET as FEET_MOTION
+from valor.whole_body.state import RobotState
+from valor.whole_body.tasks.table import motions
+from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
 @dataclass

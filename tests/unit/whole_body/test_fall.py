@@ -12,9 +12,9 @@ from scipy.spatial import ConvexHull
 
 from harness.closed_loop import ClosedLoop
 from valor.common import rotation
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body import FallDetector, RobotState
-from valor.motion_manager.whole_body.balance.support import (
+from valor.robot.description import RobotDescription
+from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.balance.support import (
     Point,
     convex_hull,
     corners_on_ground,
@@ -23,7 +23,8 @@ from valor.motion_manager.whole_body.balance.support import (
     sole_corners,
     surely_within,
 )
-from valor.robot.description import RobotDescription
+from valor.whole_body.state import RobotState
+from valor.whole_body.tuning_tables import Tuning
 
 MILLISECOND = 1_000_000  # [ns]
 coordinates = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))

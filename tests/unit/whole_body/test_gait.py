@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from harness.closed_loop import ClosedLoop, load_robot
-from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.simulation import worlds
 from valor.simulation.worlds.world import ground
+from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
 def walk(loop: ClosedLoop, velocity: tuple[float, float, float], seconds: float) -> tuple[np.ndarray, float]:

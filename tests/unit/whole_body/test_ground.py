@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from valor.motion_manager.whole_body.walking.ground import FOOTHOLDS, STEEPEST, GroundPlane
+from valor.whole_body.walking.ground import FOOTHOLDS, STEEPEST, GroundPlane
 
 slopes = st.floats(-STEEPEST, STEEPEST)
 places = st.floats(-50.0, 50.0)

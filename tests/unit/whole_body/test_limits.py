@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from harness.closed_loop import load_robot
 from harness.examples import examples
 from tests.unit.whole_body.conftest import random_states
-from valor.motion_manager.kernel import Kernel
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
-from valor.motion_manager.whole_body.constraints.limit import JointLimit, Solved
-from valor.motion_manager.whole_body.constraints.torque_limits import TorqueLimits
+from valor.common.kernel import Kernel
 from valor.robot.model import Model
+from valor.whole_body.constraints.joint_limits import JointLimits
+from valor.whole_body.constraints.limit import JointLimit, Solved
+from valor.whole_body.constraints.torque_limits import TorqueLimits
+from valor.whole_body.tuning_tables import Tuning
 
 ROBOT = load_robot()
 LIMITS = JointLimits(ROBOT, ROBOT.read(Tuning).whole_body, slice(0, 27))

@@ -19,15 +19,15 @@ from valor.common.topics import PELVIS
 from valor.motion_manager.handlers.pelvis import PelvisHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.whole_body.balance.pelvis import (
-    LegKinematics,
-    PelvisReference,
-)
-from valor.motion_manager.whole_body.model.dynamics import ModelJoints
-from valor.motion_manager.whole_body.model.turns import roll_pitch_yaw
 from valor.robot.commanded_limits import SPEED_MARGIN
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.balance.pelvis import (
+    LegKinematics,
+    PelvisReference,
+)
+from valor.whole_body.model.dynamics import ModelJoints
+from valor.whole_body.model.turns import roll_pitch_yaw
 
 
 @pytest.fixture

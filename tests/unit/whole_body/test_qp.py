@@ -11,20 +11,20 @@ import pytest
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
 from valor.common.rotation import IDENTITY
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.constraints.contact import FootContacts, contact_points, sole_generators
-from valor.motion_manager.whole_body.constraints.joint_limits import JointLimits
-from valor.motion_manager.whole_body.constraints.limit import Limit
-from valor.motion_manager.whole_body.constraints.torque_limits import TorqueLimits
-from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.model.motion import FEET
-from valor.motion_manager.whole_body.solver.elimination import FORCE_REGULARIZATION, UnsolvableError
-from valor.motion_manager.whole_body.solver.objective import Objective
-from valor.motion_manager.whole_body.solver.qp import Bounds, ContactForceQp, Solution
-from valor.motion_manager.whole_body.state import QpStatus
-from valor.motion_manager.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.constraints.contact import FootContacts, contact_points, sole_generators
+from valor.whole_body.constraints.joint_limits import JointLimits
+from valor.whole_body.constraints.limit import Limit
+from valor.whole_body.constraints.torque_limits import TorqueLimits
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.model.motion import FEET
+from valor.whole_body.solver.elimination import FORCE_REGULARIZATION, UnsolvableError
+from valor.whole_body.solver.objective import Objective
+from valor.whole_body.solver.qp import Bounds, ContactForceQp, Solution
+from valor.whole_body.state import QpStatus
+from valor.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
+from valor.whole_body.tuning_tables import Tuning
 
 EQUALITY = 5  # DAQP's sense
 

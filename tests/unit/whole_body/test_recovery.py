@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from harness.closed_loop import ClosedLoop, load_robot
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.walking.recovery import BalanceWatch, RecoverySteps
-from valor.motion_manager.whole_body.walking.swing import SolePose
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
+from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.walking.recovery import BalanceWatch, RecoverySteps
+from valor.whole_body.walking.swing import SolePose
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "right": (0.0, -1.0, 0.0)}
 PERIOD = 2_000_000  # [ns]

@@ -11,8 +11,8 @@ import pytest
 from harness.closed_loop import ClosedLoop, load_robot
 from harness.places import ROBOTS
 from harness.plan_walk import walk_plan
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.valorctl.step_planner import plan_to
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 SPEED = 0.3  # [m/s]
 DURATION = 3.0  # [s]

@@ -12,14 +12,14 @@ from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.motion_manager.whole_body.constraints.self_collision import SelfCollision
-from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.tasks.table import motions
-from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
-from valor.motion_manager.whole_body.walking.swing import SolePose
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT
 from valor.robot.model import controller_model
+from valor.whole_body.constraints.self_collision import SelfCollision
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.tasks.table import motions
+from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.swing import SolePose
 
 NOBODY: dict[str, dict[str, object]] = {"self_collision": {"pairs": []}}
 ARM = {"l_shoulder_roll": -0.3, "l_shoulder_yaw": -1.5, "l_elbow_pitch": 0.3, "l_shoulder_pitch": 0.2}  # into the chest

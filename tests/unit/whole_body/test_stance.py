@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
-from valor.motion_manager.whole_body import RobotState
-from valor.motion_manager.whole_body.balance.reference import Feet
-from valor.motion_manager.whole_body.tasks.feet import hold, stance
+from valor.whole_body.balance.reference import Feet
+from valor.whole_body.state import RobotState
+from valor.whole_body.tasks.feet import hold, stance
 
 STIFFNESS = 100.0
 

@@ -11,10 +11,10 @@ import pytest
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.arrays import FloatArray
 from valor.common.table import checked, plain
-from valor.motion_manager.whole_body import QpStatus
-from valor.motion_manager.whole_body.balance.reference import minimum_jerk
 from valor.robot.description import RobotDescription
 from valor.robot.tables import RobotTables
+from valor.whole_body.balance.reference import minimum_jerk
+from valor.whole_body.state import QpStatus
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "left": (0.0, 1.0, 0.0), "right": (0.0, -1.0, 0.0)}
 

@@ -13,11 +13,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from harness.closed_loop import load_robot
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
-from valor.motion_manager.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
-from valor.motion_manager.whole_body.walking.step_guard import StepGuard
 from valor.robot.footsteps import LEFT, StepRule
+from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
+from valor.whole_body.walking.step_guard import StepGuard
 
 OMEGA = 3.377
 TRANSFER = 0.2

@@ -13,18 +13,18 @@ import pytest
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common import rotation
 from valor.common.arrays import FloatArray
-from valor.motion_manager.kernel import Expression
-from valor.motion_manager.tuning_tables import Tuning
-from valor.motion_manager.whole_body.balance.dcm import DcmLaw
-from valor.motion_manager.whole_body.balance.reference import Feet, Reference
-from valor.motion_manager.whole_body.model.dynamics import Dynamics
-from valor.motion_manager.whole_body.solver.objective import REGULARIZATION, Objective
-from valor.motion_manager.whole_body.tasks.feet import sole_rows, stance
-from valor.motion_manager.whole_body.tasks.posture import CATCH_UP, GROUPS, Posture
-from valor.motion_manager.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
-from valor.motion_manager.whole_body.tasks.task import Period, Task
+from valor.common.kernel import Expression
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.balance.dcm import DcmLaw
+from valor.whole_body.balance.reference import Feet, Reference
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.solver.objective import REGULARIZATION, Objective
+from valor.whole_body.tasks.feet import sole_rows, stance
+from valor.whole_body.tasks.posture import CATCH_UP, GROUPS, Posture
+from valor.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
+from valor.whole_body.tasks.task import Period, Task
+from valor.whole_body.tuning_tables import Tuning
 
 STEP = 1e-6  # [s]
 RNG = np.random.default_rng(5)

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valor.common import rotation
-from valor.motion_manager.whole_body.walking.dcm_plan import DcmPlan
-from valor.motion_manager.whole_body.walking.footsteps import Step, level_pose
-from valor.motion_manager.whole_body.walking.step_queue import StepQueue
-from valor.motion_manager.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingPoint, SwingTrajectory
-from valor.motion_manager.whole_body.walking.velocity_steps import VelocitySteps
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT, StepRule
+from valor.whole_body.walking.dcm_plan import DcmPlan
+from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingPoint, SwingTrajectory
+from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 OMEGA = 3.377
 DT = 1e-4  # of numerical integration and differentiation [s]

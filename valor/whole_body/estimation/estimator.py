@@ -1,0 +1,168 @@
+"""Where the robot is: attitude from the IMU, position and velocity from the standing feet and the accelerometer.
+
+Never the simulator's truth. Four parts:
+
+- ``Attitude``: gyroscope and the IMU's own attitude; its level comes from gravity, its heading from the standing feet.
+- ``FootContact``: how probably each foot stands.
+- ``Odometry``: a Kalman filter of position, velocity and where the feet stand.
+- ``Fusion``: leg kinematics, and what the parts tell each other.
+
+A period is two kernels (``fusion``), with the model's kinematics between them.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from operator import itemgetter
+
+import numpy as np
+import numpy.typing as npt
+
+from valor.common import rotation
+from valor.common.kernel import Kernel
+from valor.common.messages import Proprioceptor
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model
+from valor.whole_body.balance.dcm import DcmLaw
+from valor.whole_body.estimation.attitude import Attitude
+from valor.whole_body.estimation.foot_contact import FootSense
+from valor.whole_body.estimation.fusion import TOLD, Fusion, Memory
+from valor.whole_body.estimation.odometry import FEET, POSITION
+from valor.whole_body.model.arms import UpperBodyKinematics
+from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.state import RobotState
+from valor.whole_body.tasks.feet import FootMotion
+from valor.whole_body.tasks.table import motions
+from valor.whole_body.tuning_tables import Tuning
+
+LONGEST_GAP = 0.02  # between Proprioceptors that the IMU's rates are believed for [s]
+_CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(
+    np.array(pair, dtype=np.uint8) for pair in ((0, 0), (1, 0), (0, 1), (1, 1))
+)
+for _pair in _CONTACTS:
+    _pair.flags.writeable = False
+
+
+class FloatingBaseEstimator:
+    """Estimates the floating base from Proprioceptor, and with it all of ``RobotState``.
+
+    Attributes:
+        dynamics: at the last state.
+    """
+
+    def __init__(self, robot: RobotDescription, model: Model) -> None:
+        self._table = table = robot.read(Tuning).estimator
+        self.dynamics = dynamics = Dynamics(model, motions(model))
+        self._joints = len(robot.joints)
+        site = model.site(robot.tables.imu.site)
+        self._mounting = rotation.quaternion(model.mj.site_quat[site])
+        if int(model.mj.site_bodyid[site]) != model.body(robot.tables.base):
+            raise ValueError(f"{robot.name}: the IMU's site {robot.tables.imu.site!r} is not on the floating base")
+        weight = dynamics.mass * dynamics.gravity
+        feet, on, off = robot.tables.feet, table.contact_on * weight, table.contact_off * weight
+        senses = [
+            FootSense(foot, on, off, table.settling_time, table.surprise_gate) for foot in (feet.left, feet.right)
+        ]
+        omega = DcmLaw.natural_frequency(UpperBodyKinematics(model).nominal_com_height, dynamics.gravity)
+        fusion = Fusion(table, dynamics, senses, self._mounting, joints=len(robot.joints), omega=omega)
+        self._before, self._after = Memory.zeros(self._joints), Memory.zeros(self._joints)
+        self._measured = np.zeros(22 + 2 * self._joints)
+        self._dt = np.zeros(1)
+        self._told = np.zeros(sum(int(np.prod(shape)) for shape in TOLD.values()))
+        self._touching = np.zeros(2)
+        ends = np.cumsum([0, *(np.prod(shape) for shape in TOLD.values())]).tolist()
+        self._fields = itemgetter(*(slice(*pair) for pair in pairwise(ends)))
+        self._feel_motion = Kernel(
+            "imu",
+            fusion.by_imu,
+            (*self._after, self._measured, self._dt),
+            (*self._before, dynamics.configuration, dynamics.rates),
+        )
+        self._feel_ground = Kernel(
+            "feet",
+            fusion.by_feet,
+            (
+                *self._before,
+                self._measured,
+                self._dt,
+                dynamics.rotation,
+                dynamics.com,
+                dynamics.task_velocity,
+                dynamics.sole_position,
+                dynamics.sole_rotation,
+                dynamics.jacobian[dynamics.rows[FootMotion.name]],
+            ),
+            (*self._after, self._told, self._touching),
+        )
+        self._time = 0
+        self._started = False
+
+    def reset(self) -> None:
+        """Begin anew with the next Proprioceptor: odom between the feet, at the soles' height, facing as they do."""
+        self._started = False
+
+    def update(self, proprioceptor: Proprioceptor) -> RobotState:
+        """The estimate at a Proprioceptor, whose arrays have the robot's lengths and are finite."""
+        np.concatenate(
+            (
+                proprioceptor.imu_orientation,
+                proprioceptor.imu_angular_velocity,
+                proprioceptor.imu_linear_acceleration,
+                proprioceptor.left_foot_wrench,
+                proprioceptor.right_foot_wrench,
+                proprioceptor.joint_position,
+                proprioceptor.joint_velocity,
+            ),
+            out=self._measured,
+        )
+        if not self._started:
+            self._start(proprioceptor)
+        passed = 1e-9 * (proprioceptor.time - self._time)
+        self._time = proprioceptor.time
+        self._dt[0] = min(max(passed, 0.0), LONGEST_GAP)
+        self._feel_motion()
+        self.dynamics.evaluate()
+        self._feel_ground()
+        # By position, for twenty fields by name take longer than to find what is in them.
+        turned, soles, sole_rotations, *vectors = self._fields(self._told.copy())
+        left, right = self._touching.tolist()
+        return RobotState(
+            proprioceptor.time,
+            proprioceptor.joint_position,
+            self._after.joint_velocity.copy(),
+            proprioceptor.joint_effort,
+            self.dynamics,
+            _CONTACTS[int(left + 2.0 * right)],
+            turned.reshape(3, 3),
+            soles.reshape(2, 3),
+            sole_rotations.reshape(2, 3, 3),
+            *vectors,
+        )
+
+    def _start(self, proprioceptor: Proprioceptor) -> None:
+        """Put odom between the feet; whichever carries weight, both are taken to stand."""
+        dynamics, after, table = self.dynamics, self._after, self._table
+        places = dynamics.joints.places
+        position, velocity = proprioceptor.joint_position[places], proprioceptor.joint_velocity[places]
+        mounted = np.zeros((3, 3))
+        rotation.matrix(self._mounting, mounted)
+        rate = mounted @ proprioceptor.imu_angular_velocity
+        imu = rotation.quaternion(proprioceptor.imu_orientation)
+        orientation = rotation.multiply(imu, rotation.conjugate(self._mounting))
+        dynamics.update(orientation, rate, position, velocity)
+        turn = rotation.about_z(-rotation.mean_yaw(dynamics.sole_rotation[0], dynamics.sole_rotation[1]))
+        orientation = rotation.multiply(turn, orientation)
+        dynamics.update(orientation, rate, position, velocity)
+        for array in after:
+            array[:] = 0.0
+        after.attitude[:] = Attitude(orientation, heading=turn, rate=tuple(rate.tolist())).numbers
+        after.state[POSITION] = -dynamics.sole_position.mean(axis=0)
+        after.state[FEET:] = after.state[POSITION] + dynamics.sole_position
+        leg = table.leg_position_deviation**2
+        variances = (0.0, table.start_velocity_deviation**2, table.bias_deviation**2, leg, leg)
+        np.fill_diagonal(after.covariance, variances)
+        after.acceleration[:] = dynamics.rotation @ mounted @ proprioceptor.imu_linear_acceleration
+        after.acceleration[2] -= dynamics.gravity
+        after.joint_velocity[:] = proprioceptor.joint_velocity
+        self._time = proprioceptor.time
+        self._started = True

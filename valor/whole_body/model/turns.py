@@ -1,0 +1,24 @@
+"""Rotations as expressions, beside what ``valor.common.rotation`` does to floats and expressions alike."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from valor.common.kernel import Expression
+
+
+def turned(vector: Expression) -> Expression:
+    """(3, 3) rotation by a rotation vector [rad] (Rodrigues)."""
+    angle = ca.fmax(ca.norm_2(vector), 1e-12)
+    cross = ca.skew(vector / angle)
+    return ca.SX.eye(3) + ca.sin(angle) * cross + (1.0 - ca.cos(angle)) * (cross @ cross)
+
+
+def roll_pitch_yaw(matrix: Expression) -> tuple[Expression, Expression, Expression]:
+    """The inverse of ``from_roll_pitch_yaw``, of a (3, 3) expression, for a pitch below π/2 [rad]."""
+    forward = ca.norm_2(matrix[:2, 0])
+    return (
+        ca.atan2(matrix[2, 1], matrix[2, 2]),
+        ca.atan2(-matrix[2, 0], forward),
+        ca.atan2(matrix[1, 0], matrix[0, 0]),
+    )
