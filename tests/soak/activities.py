@@ -129,7 +129,7 @@ def _stepping(rig: Rig, rng: random.Random) -> Going:
     return going
 
 
-def _arm_on_its_way(rig: Rig, rng: random.Random) -> Going:
+def _reaching(rig: Rig, rng: random.Random) -> Going:
     rig.go(Behavior.STAND_MANIPULATE)
     side = rng.choice(arm_motion.SIDES)
 
@@ -140,7 +140,7 @@ def _arm_on_its_way(rig: Rig, rng: random.Random) -> Going:
 
     rig.tap.mark()
     going = Going(move)
-    rig.wait(lambda: going.over or rig.tap.moved()[1] > 0.1, "an arm on its way")
+    rig.wait(lambda: going.over or rig.tap.moved()[1] > 0.1, "an arm moving")
     return going
 
 
@@ -178,7 +178,7 @@ ACTIVITIES: Mapping[str, Activity] = {
     "standing": Activity(_standing, 6.0, True),
     "walking": Activity(_walking, 4.0, False),
     "stepping": Activity(_stepping, 3.0, False),
-    "arm on its way": Activity(_arm_on_its_way, 3.0, False),
+    "reaching": Activity(_reaching, 3.0, False),
     "soft stop": Activity(_soft_stop, 1.0, True),
     "frozen": Activity(_frozen, 2.0, True),
     "fallen": Activity(_fallen, 0.5, False),

@@ -39,7 +39,7 @@ class Event:
         """Whether it may come while the robot does that."""
         if self.idle:
             return activity == "standing"
-        return not self.on_feet or activity in ("standing", "arm on its way")
+        return not self.on_feet or activity in ("standing", "reaching")
 
     @property
     def hit(self) -> tuple[str, ...]:
