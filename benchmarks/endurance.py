@@ -45,7 +45,7 @@ class Standing:
         self._substeps = round(robot.control_period / self.plant.step_time)
         self.plant.actuators.hold(robot.nominal_posture)
         self.run(3.0)
-        reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior=Behavior.STAND), "benchmark")
+        reply = BehaviorHandler.of(self.manager.parts).handle(BehaviorRequest(behavior=Behavior.STAND), "benchmark")
         if not reply.accepted:
             sys.exit(f"stand refused: {reply.reason}")
         self.run(SETTLING)

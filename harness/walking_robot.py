@@ -58,7 +58,7 @@ class WalkingRobot(RobotInProcess):
         """Forward, left [m/s], turning [rad/s]."""
         for _ in range(round(seconds / self._period)):
             command = VelocityCommand(self.manager.time, *velocity)
-            self.manager.handler(VelocityHandler).handle(
+            VelocityHandler.of(self.manager.parts).handle(
                 Received(command, 0, 1, "valor_ros_controller"), self.manager.time
             )
             self.step()

@@ -7,16 +7,13 @@ leaves for every Proprioceptor.
 from __future__ import annotations
 
 import logging
-from typing import TypeVar
 
 import numpy as np
 
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
-from valor.motion_manager.handlers.handler import AnyHandler, make_all
 from valor.motion_manager.parts import Parts
-from valor.motion_manager.report import Reporter
 from valor.motion_manager.safety.custody import BROUGHT_TO_STAND
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
@@ -27,8 +24,6 @@ FAULTY = 0.01  # without a believable Proprioceptor, or with errors of ours, bef
 LOGGED = 10.0  # between lines on errors that go on [s]
 LONGEST_PERIOD = 0.02  # of periods that were missed, so much is made up for [s]
 
-H = TypeVar("H", bound=AnyHandler)
-
 _log = logging.getLogger("motion_manager")
 
 
@@ -37,17 +32,14 @@ class MotionManager:
 
     Attributes:
         parts: what it is made of.
-        handlers: of what comes in from outside, one for each topic.
     """
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         self.parts = parts = Parts(robot, model)
         self.fsm, self.custody, self.rejections = parts.fsm, parts.custody, parts.rejections
-        self.handlers = make_all(parts)
         self._dt = robot.control_period
         self._most_faults, self._errors_a_line = round(FAULTY / self._dt), round(LOGGED / self._dt)
         self._watchdog = ProprioceptorWatchdog(len(robot.joints))
-        self._reporter = Reporter(parts)
         self._sequence = 0
         self._proprioceptor_sequence = 0
         self._errors = 0  # consecutive
@@ -63,10 +55,6 @@ class MotionManager:
     def missed(self) -> int:
         """Proprioceptors that were not seen, since start."""
         return self._watchdog.missed
-
-    def handler(self, kind: type[H]) -> H:
-        """The handler of this class."""
-        return next(handler for handler in self.handlers if isinstance(handler, kind))
 
     def tick(self, proprioceptor: Proprioceptor) -> Motor:
         """The Motor that answers a Proprioceptor."""
@@ -88,7 +76,7 @@ class MotionManager:
 
     def report(self, motor_time: float = 0.0, tick_time: float = 0.0) -> MotionState:
         """What the Motion Manager did and believes; the times are those that ``MotionState`` has fields for [s]."""
-        return self._reporter.report(self._proprioceptor_sequence, motor_time=motor_time, tick_time=tick_time)
+        return self.parts.report(self._proprioceptor_sequence, motor_time=motor_time, tick_time=tick_time)
 
     # --- one period -----------------------------------------------------------------------------------------------
 

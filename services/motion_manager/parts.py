@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor.common.behaviors import Locomotion
+from valor.common.behaviors import Locomotion, Manipulation
+from valor.common.messages import MotionState
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_contact import HandContacts
 from valor.motion_manager.hands.hand_goals import HandGoals
@@ -14,10 +15,10 @@ from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import UpperBody
 from valor.motion_manager.locomotion.balance import BalanceControl, Balanced, Stepping
-from valor.motion_manager.locomotion.driver import Drivers
-from valor.motion_manager.locomotion.drivers import Held, Limp, Prepared, Rising
+from valor.motion_manager.locomotion.drivers import Drivers
 from valor.motion_manager.locomotion.get_up import GetUp
 from valor.motion_manager.locomotion.posture_control import AT_REST, PostureControl
+from valor.motion_manager.locomotion.unbalanced import Held, Limp, Prepared, Rising
 from valor.motion_manager.safety.custody import Custody
 from valor.motion_manager.safety.device_reactions import DeviceReactions
 from valor.motion_manager.safety.stance import Stance
@@ -28,11 +29,13 @@ from valor.whole_body.balance.fall import FallDetector
 from valor.whole_body.controller import WholeBodyController
 from valor.whole_body.estimation.estimator import FloatingBaseEstimator
 from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import RobotState
+from valor.whole_body.state import QpStatus, RobotState
 from valor.whole_body.walking.gait import sole_poses
 from valor.whole_body.walking.step_queue import StepQueue
 from valor.whole_body.walking.swing import SolePose
 from valor.whole_body.walking.velocity_steps import VelocitySteps
+
+_ZEROS = np.zeros(6)
 
 
 class Parts:
@@ -97,7 +100,7 @@ class Parts:
                 Locomotion.FALL: Limp(controller, command),
                 Locomotion.GET_UP: Rising(
                     fsm=self.fsm,
-                    custody=self.custody,
+                    fall=self.custody.fall,
                     stance=self.stance,
                     estimator=self.estimator,
                     detector=self.detector,
@@ -126,6 +129,60 @@ class Parts:
         """Left and right, as they are."""
         assert self.state is not None
         return sole_poses(self.state)
+
+    def report(self, proprioceptor_sequence: int, *, motor_time: float, tick_time: float) -> MotionState:
+        """What was done in a period, and what is believed.
+
+        Args:
+            proprioceptor_sequence: of the newest.
+            motor_time: as ``MotionState`` has it [s].
+            tick_time: likewise [s].
+        """
+        fsm, state, command, pelvis = self.fsm, self.state, self.balance.command, self.controller.pelvis
+        # While nobody wants the DCM anywhere its reference is where it is.
+        dcm_reference = state.dcm_in_odom if state else _ZEROS[:3]
+        if command is not None:
+            dcm_reference = command.dcm_reference_in_odom
+        return MotionState(
+            time=self.time,
+            proprioceptor_sequence=proprioceptor_sequence,
+            behavior=fsm.behavior,
+            locomotion=fsm.locomotion,
+            manipulation=fsm.manipulation,
+            attention=fsm.attention,
+            reason=fsm.reason,
+            pelvis_position_in_odom=state.pelvis_position_in_odom if state else _ZEROS[:3],
+            pelvis_orientation_in_odom=state.pelvis_orientation_in_odom if state else np.eye(4)[0],
+            pelvis_linear_velocity_in_odom=state.pelvis_linear_velocity_in_odom if state else _ZEROS[:3],
+            pelvis_angular_velocity_in_pelvis=state.pelvis_angular_velocity_in_pelvis if state else _ZEROS[:3],
+            com_in_odom=state.com_in_odom if state else _ZEROS[:3],
+            dcm_in_odom=state.dcm_in_odom if state else _ZEROS[:3],
+            dcm_reference_in_odom=dcm_reference,
+            cop_in_odom=state.cop_in_odom if state else np.full(2, np.nan),
+            contacts=state.contacts if state else np.zeros(2, dtype=np.uint8),
+            contact_probability=state.contact_probability if state else _ZEROS[:2],
+            pelvis_position_variance=state.pelvis_position_variance if state else _ZEROS[:3],
+            pelvis_orientation_variance=state.pelvis_orientation_variance if state else _ZEROS[:3],
+            pelvis_linear_velocity_variance=state.pelvis_linear_velocity_variance if state else _ZEROS[:3],
+            hand_contacts=self.hand_contacts.contacts,
+            left_arm=self._led_by(0),
+            right_arm=self._led_by(1),
+            joint_setpoint=self.command.position,
+            pelvis_setpoint=pelvis.position,
+            pelvis_in_support=pelvis.measured(state) if state else _ZEROS,
+            desired_foot_forces=command.desired_foot_forces if command else _ZEROS[:2],
+            qp_status=int(command.qp_status if command else QpStatus.NOT_RUN),
+            qp_failures=self.controller.qp_failures,
+            torque_saturations=self.command.saturations,
+            motor_time=motor_time,
+            tick_time=tick_time,
+        )
+
+    def _led_by(self, side: int) -> str:
+        """Who leads an arm from outside (0 left, 1 right)."""
+        if self.fsm.manipulation is not Manipulation.TELEOP:
+            return "nobody"
+        return "hand_goal" if self.hand_goals.leads(side) else "setpoints"
 
     def _swings(self, state: RobotState) -> bool:
         """Whether the robot is in the middle of a step, and its legs move."""

@@ -27,8 +27,7 @@ from valor.common.topics import (
     STEP_STATUS,
 )
 from valor.common.trace import Stage
-from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
-from valor.motion_manager.handlers.handler import Handler
+from valor.motion_manager.handlers.handler import Handler, make_all
 from valor.motion_manager.hands.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
 from valor.motion_manager.safety.custody import ASIDE
@@ -69,10 +68,9 @@ class MotionManagerService:
         self._hand_status = HAND_GOAL_STATUS.publisher(node)
         self._hand_changes = 0
         self._hand_status_due = 0
-        self._footsteps = self._manager.handler(FootstepPlanHandler)
         self._commands: dict[Input, Callable[[], object]] = {}
         self._requests: dict[Input, Callable[[], object]] = {}
-        for handler in self._manager.handlers:
+        for handler in make_all(self._manager.parts):
             if isinstance(handler, Handler):
                 subscriber = handler.topic.subscriber(node)
                 inputs = self._requests if handler.after_motor else self._commands
@@ -190,11 +188,12 @@ class MotionManagerService:
         manager = self._manager
         for rejection in manager.rejections.take():
             self._rejection.publish(rejection)
-        changed = self._footsteps.changes != self._step_changes
+        steps = manager.parts.step_queue
+        changed = steps.changes != self._step_changes
         if changed or manager.time >= self._step_status_due or manager.time < self._step_status_due - 1e9:
-            self._step_changes = self._footsteps.changes
+            self._step_changes = steps.changes
             self._step_status_due = manager.time + round(STEP_STATUS_PERIOD * 1e9)
-            self._step_status.publish(self._footsteps.status(manager.time))
+            self._step_status.publish(steps.status(manager.time))
         self._report_hands()
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes

@@ -50,7 +50,7 @@ def goal(robot: Robot, position: object, **changes: object) -> HandGoal:
 
 
 def lead(robot: Robot, message: HandGoal, origin: str = "somebody") -> bool:
-    return robot.manager.handler(HandGoalHandler).handle(Received(message, 0, 1, origin), robot.time)
+    return HandGoalHandler.of(robot.manager.parts).handle(Received(message, 0, 1, origin), robot.time)
 
 
 def refusal(robot: Robot) -> str:
@@ -98,7 +98,7 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
         names = [ROBOT.joints[i] for i in RIGHT]
         zeros = np.zeros(len(names))
         message = JointSetpoints(robot.time, names, manager.parts.reference.position[RIGHT], zeros, zeros)
-        return manager.handler(JointSetpointsHandler).handle(Received(message, 0, 1, "somebody"), robot.time)
+        return JointSetpointsHandler.of(manager.parts).handle(Received(message, 0, 1, "somebody"), robot.time)
 
     assert send()
     assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2))))
@@ -138,7 +138,7 @@ def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> 
     place, table = ROBOT.index[name], ROBOT.read(Tuning).gains
     nominal = ROBOT.servo_stiffness[place]
     message = JointGains([name], np.array((1e6,)), np.array((0.0,)))
-    assert robot.manager.handler(JointGainsHandler).handle(Received(message, 0, 1, "somebody"), robot.time)
+    assert JointGainsHandler.of(robot.manager.parts).handle(Received(message, 0, 1, "somebody"), robot.time)
     stiffness = [nominal] + [robot.tick().stiffness[place] for _ in range(400)]
     assert np.abs(np.diff(stiffness)).max() < 0.01 * nominal
     assert stiffness[-1] == pytest.approx(table.max_stiffness * nominal)
@@ -158,14 +158,14 @@ def test_gains_go_gradually_to_what_is_asked_within_the_limits(robot: Robot) -> 
 )
 def test_bad_gains_are_refused(refusing: Robot, names: list[str], stiffness: tuple[float, ...], reason: str) -> None:
     message = JointGains(names, np.array(stiffness), np.ones(len(names)))
-    assert not refusing.manager.handler(JointGainsHandler).handle(
+    assert not JointGainsHandler.of(refusing.manager.parts).handle(
         Received(message, 0, 1, reason), 0
     )  # told once an origin
     assert reason in refusal(refusing)
 
 
 def test_weights_go_gradually_and_end_with_the_balance(robot: Robot) -> None:
-    weights, handler = robot.manager.parts.controller.weights, robot.manager.handler(BalanceWeightsHandler)
+    weights, handler = robot.manager.parts.controller.weights, BalanceWeightsHandler.of(robot.manager.parts)
     assert handler.handle(Received(BalanceWeights(["com"], np.array((1e9,))), 0, 1, "somebody"), robot.time)
     robot.tick()
     assert weights.nominal[0] < weights.values[0] < 1.1 * weights.nominal[0]

@@ -47,7 +47,7 @@ class Bench:
 
     @property
     def status(self) -> StepStatus:
-        return self.handler.status(0)
+        return self.queue.status(0)
 
     @property
     def indices(self) -> tuple[int, int, int]:

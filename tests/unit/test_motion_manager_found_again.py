@@ -46,7 +46,7 @@ class Robot:
 
     def go(self, behavior: Behavior) -> None:
         for _ in range(40):
-            reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior), "test")
+            reply = BehaviorHandler.of(self.manager.parts).handle(BehaviorRequest(behavior), "test")
             if reply.accepted:
                 return
             self.run(0.1)

@@ -97,7 +97,7 @@ class Robot:
 
     def ask(self, behavior: Behavior) -> str:
         """Request a behavior; returns the reason of a refusal."""
-        reply = self.manager.handler(BehaviorHandler).handle(BehaviorRequest(behavior=behavior), "somebody")
+        reply = BehaviorHandler.of(self.manager.parts).handle(BehaviorRequest(behavior=behavior), "somebody")
         assert reply.accepted or reply.reason
         return "" if reply.accepted else reply.reason
 
@@ -308,7 +308,7 @@ def test_a_robot_that_is_found_lying_is_let_go(standing: Robot, found: dict[str,
 @pytest.fixture
 def stepping(standing: Robot) -> Robot:
     assert not standing.ask(Behavior.WALK)
-    standing.manager.handler(VelocityHandler).handle(
+    VelocityHandler.of(standing.manager.parts).handle(
         Received(VelocityCommand(standing.time, 0.2, 0.0, 0.0), 0, 1, "valor_ros_controller"), standing.time
     )
     for _ in range(1000):
@@ -519,7 +519,9 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
         elif event == "setpoint":
             position = np.full(1, data.draw(values))
             message = JointSetpoints(robot.time, ["neck_yaw"], position, np.zeros(1), np.zeros(1))
-            robot.manager.handler(JointSetpointsHandler).handle(Received(message, 0, 1, "somebody"), robot.manager.time)
+            JointSetpointsHandler.of(robot.manager.parts).handle(
+                Received(message, 0, 1, "somebody"), robot.manager.time
+            )
         robot.run(0.04)
         assert robot.manager.custody.ours
 

@@ -107,7 +107,7 @@ def test_a_plan_that_is_stopped_before_it_began_ends_in_stand(path: tuple[Behavi
     for behavior in (Behavior.STAND, *path):
         assert not robot.ask(behavior)
         robot.tick()
-    plan = robot.manager.handler(FootstepPlanHandler)
+    plan = FootstepPlanHandler.of(robot.manager.parts)
     assert plan.handle(FootstepPlanRequest(steps=ahead(0, 3)), "somebody").accepted
     assert plan.handle(FootstepPlanRequest(steps=[]), "somebody").accepted
     robot.tick()
@@ -122,12 +122,12 @@ def test_a_plan_that_is_walked_to_its_end_ends_in_stand() -> None:
     robot.run(0.1)
     place = robot.manager.parts.soles()[0].position
     step = footstep(0, 0, float(place[0]), float(place[1]), swing_duration=0.5, transfer_duration=0.3)
-    reply = robot.manager.handler(FootstepPlanHandler).handle(FootstepPlanRequest(steps=[step]), "somebody")
+    reply = FootstepPlanHandler.of(robot.manager.parts).handle(FootstepPlanRequest(steps=[step]), "somebody")
     assert reply.accepted, reply.reason
     seen: list[str] = []
 
     def ended() -> bool:
-        seen.append(robot.manager.handler(FootstepPlanHandler).status(0).state)
+        seen.append(robot.manager.parts.step_queue.status(0).state)
         return robot.behavior is not Behavior.STEP
 
     assert robot.run_until(ended, 10.0)

@@ -201,12 +201,12 @@ def test_a_weight_is_a_finite_number_that_is_not_negative(manipulating: Robot, w
     manager = manipulating.manager
     asked = manager.parts.controller.weights.asked.copy()
     message = BalanceWeights(["com"], np.array((weight,)))
-    assert not manager.handler(BalanceWeightsHandler).handle(Received(message, 0, 1, f"{weight}"), 0)
-    assert not manager.handler(BalanceWeightsHandler).handle(
+    assert not BalanceWeightsHandler.of(manager.parts).handle(Received(message, 0, 1, f"{weight}"), 0)
+    assert not BalanceWeightsHandler.of(manager.parts).handle(
         Received(BalanceWeights([], np.zeros(0)), 0, 1, f"none {weight}"), 0
     )
     np.testing.assert_array_equal(manager.parts.controller.weights.asked, asked)
-    assert manager.handler(BalanceWeightsHandler).handle(
+    assert BalanceWeightsHandler.of(manager.parts).handle(
         Received(BalanceWeights(["com"], np.zeros(1)), 0, 1, "zero"), 0
     )
     assert manager.parts.controller.weights.asked[0] == manager.parts.controller.weights.lower[0]

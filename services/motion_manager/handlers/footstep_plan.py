@@ -17,7 +17,7 @@ import numpy as np
 from valor.common import rotation
 from valor.common.behaviors import Locomotion
 from valor.common.errors import RefusalError
-from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest, StepStatus
+from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest
 from valor.common.topics import FOOTSTEP_PLAN
 from valor.motion_manager.handlers.handler import RequestHandler
 from valor.motion_manager.handlers.rejections import Rejections
@@ -41,7 +41,7 @@ class PlanError(RefusalError):
 
 
 class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]):
-    """Answers plans, and says how the running one fares."""
+    """Answers plans."""
 
     topic = FOOTSTEP_PLAN
 
@@ -94,24 +94,6 @@ class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]
             self._rejections.add(FOOTSTEP_PLAN.name, origin, refusal.kind, str(refusal))
             return FootstepPlanReply(accepted=False, behavior=self._fsm.behavior, reason=str(refusal))
         return FootstepPlanReply(accepted=True, behavior=self._fsm.behavior, reason="")
-
-    @property
-    def changes(self) -> int:
-        """How often ``status`` changed since start."""
-        return self._queue.changes
-
-    def status(self, time: int) -> StepStatus:
-        """What is being stepped, at robot time ``time`` [ns]."""
-        queue = self._queue
-        return StepStatus(
-            time=time,
-            state=queue.state,
-            reason=queue.reason,
-            queue_size=len(queue.steps),
-            last_performed_step_index=queue.last_performed,
-            executing_step_index=queue.executing.index if queue.executing else -1,
-            first_changeable_step_index=queue.first_changeable,
-        )
 
     def _take(self, asked: list[Footstep], origin: str) -> None:
         if self._fsm.locomotion is not Locomotion.STEP:

@@ -136,10 +136,6 @@ class Balanced(Driver):
         """Balance."""
         self._balance.drive(self.source, state, now, dt)
 
-    def hand_over(self, posture: PostureControl, state: RobotState, now: float) -> None:
-        """With the efforts that were commanded last."""
-        posture.take_over(state.joint_position)
-
 
 class Stepping(Balanced):
     """The robot balances, and takes the steps of a source."""

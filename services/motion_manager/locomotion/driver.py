@@ -1,20 +1,29 @@
-"""Who has the joints: one driver for each state of the Locomotion FSM, and how one takes over from the other."""
+"""What a driver is, of which each state of the Locomotion FSM has one, and how it leaves the joints to the next."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from enum import Enum, auto
+from typing import ClassVar
 
 from valor.common.behaviors import Locomotion
-from valor.motion_manager.locomotion.posture_control import PostureControl
-from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.whole_body.state import RobotState
 
 JUST_BEGUN = "stand_prep has just begun"
 
 
+class Leaves(Enum):
+    """How a driver leaves the joints to servos that are to hold them."""
+
+    LIMP = auto()  # where they lie, without effort
+    HELD = auto()  # by their servos already
+    LED = auto()  # with the efforts that were commanded last
+
+
 class Driver(ABC):
     """Drives the joints while the Locomotion FSM is in its state. Times are robot time [s]."""
+
+    leaves: ClassVar[Leaves] = Leaves.LED
 
     @abstractmethod
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
@@ -30,60 +39,6 @@ class Driver(ABC):
     def proceed(self, state: RobotState, now: float) -> None:  # noqa: B027 (most do not)
         """See whether the state ends by itself; before the others look at the state machines in a period."""
 
-    @abstractmethod
-    def hand_over(self, posture: PostureControl, state: RobotState, now: float) -> None:
-        """Give the joints to their servos, which hold them from now on."""
-
     def not_prepared(self, state: RobotState, now: float) -> str:
         """Why the nominal posture is not reached; an empty text: it is."""
         return JUST_BEGUN
-
-
-class Drivers:
-    """Has the driver of the Locomotion FSM's state drive.
-
-    Attributes:
-        current: who drove in the last period; None: the joints are nobody's yet.
-    """
-
-    def __init__(self, fsm: BehaviorFsm, drivers: Mapping[Locomotion, Driver]) -> None:
-        """``drivers``: of every state its own."""
-        self._fsm, self._drivers = fsm, drivers
-        self.current: Driver | None = None
-
-    def of(self, locomotion: Locomotion) -> Driver:
-        """The one of a state."""
-        return self._drivers[locomotion]
-
-    def proceed(self, state: RobotState, now: float) -> None:
-        """Who drove and goes on may find that its state ends."""
-        if self.current is self.of(self._fsm.locomotion):
-            self.current.proceed(state, now)
-
-    def change(self, state: RobotState, now: float) -> None:
-        """Hand the joints over if the Locomotion FSM has another state than in the last period."""
-        before, self.current = self.current, self.of(self._fsm.locomotion)
-        if self.current is before:
-            return
-        if before is not None:
-            before.leave(self._fsm.locomotion)
-        self.current.enter(before, state, now)
-
-    def drive(self, state: RobotState, now: float, dt: float) -> None:
-        """Fill the command of this period, after ``change``."""
-        assert self.current is not None
-        self.current.drive(state, now, dt)
-
-    def let_go(self, to: Locomotion) -> None:
-        """Whatever holds the joints in a state begins anew, from where they are found."""
-        if self.current is not None:
-            self.current.leave(to)
-        self.current = None
-
-    def go_limp(self) -> None:
-        """Fall without a state of the robot to be believed: nothing is taken over."""
-        self.current = self.of(Locomotion.FALL)
-
-    def not_prepared(self, state: RobotState, now: float) -> str:
-        """Why the nominal posture is not reached; an empty text: it is."""
-        return self.current.not_prepared(state, now) if self.current else JUST_BEGUN

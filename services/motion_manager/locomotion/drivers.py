@@ -1,122 +1,60 @@
-"""Drivers of a robot that nobody balances: limp, held by its servos, or on its way up from the floor."""
+"""Who has the joints: the driver of the Locomotion FSM's state, which takes over from that of the state before."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
-from valor.common.behaviors import Behavior
-from valor.motion_manager.locomotion.driver import Driver
-from valor.motion_manager.locomotion.get_up import GetUp
-from valor.motion_manager.locomotion.posture_control import PostureControl
-from valor.motion_manager.safety.custody import Custody
-from valor.motion_manager.safety.stance import Stance
+from valor.common.behaviors import Locomotion
+from valor.motion_manager.locomotion.driver import JUST_BEGUN, Driver
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.whole_body.balance.fall import FallDetector
-from valor.whole_body.controller import WholeBodyController
-from valor.whole_body.estimation.estimator import FloatingBaseEstimator
-from valor.whole_body.motor_command import MotorCommand
 from valor.whole_body.state import RobotState
 
 
-class Limp(Driver):
-    """No effort, only damping."""
+class Drivers:
+    """Has the driver of the Locomotion FSM's state drive.
 
-    def __init__(self, controller: WholeBodyController, command: MotorCommand) -> None:
-        self._controller, self._command = controller, command
+    Attributes:
+        current: who drove in the last period; None: the joints are nobody's yet.
+    """
 
-    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        """Let everything go."""
-        self._controller.leave()
+    def __init__(self, fsm: BehaviorFsm, drivers: Mapping[Locomotion, Driver]) -> None:
+        """``drivers``: of every state its own."""
+        self._fsm, self._drivers = fsm, drivers
+        self.current: Driver | None = None
 
-    def drive(self, state: RobotState, now: float, dt: float) -> None:
-        """Be limp."""
-        self._command.limp(state.joint_position)
-
-    def hand_over(self, posture: PostureControl, state: RobotState, now: float) -> None:
-        """Where they lie, without effort."""
-        posture.take_up(state.joint_position, np.zeros_like(state.joint_effort))
-
-
-class Held(Driver):
-    """The joints by their servos, where they were found or came to rest."""
-
-    def __init__(self, controller: WholeBodyController, posture: PostureControl) -> None:
-        self._controller, self._posture = controller, posture
-
-    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        """Hold them."""
-        self._controller.leave()
-        if before is None:
-            self._posture.take_up(state.joint_position, state.joint_effort)
-        else:
-            before.hand_over(self._posture, state, now)
-
-    def drive(self, state: RobotState, now: float, dt: float) -> None:
-        """Hold on, or move on."""
-        self._posture.drive(now)
-
-    def hand_over(self, posture: PostureControl, state: RobotState, now: float) -> None:
-        """The servos have them."""
-        posture.hold(now)
-
-
-class Prepared(Held):
-    """Likewise, on the way to the nominal posture and there."""
-
-    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        """Set out."""
-        super().enter(before, state, now)
-        self._posture.prepare(now)
-
-    def not_prepared(self, state: RobotState, now: float) -> str:
-        """How far it is."""
-        return self._posture.not_arrived(now, state.joint_velocity)
-
-
-class Rising(Driver):
-    """Up from the floor; then to Stand Prep by itself, and back to Fall when it cannot."""
-
-    def __init__(
-        self,
-        *,
-        fsm: BehaviorFsm,
-        custody: Custody,
-        stance: Stance,
-        estimator: FloatingBaseEstimator,
-        detector: FallDetector,
-        controller: WholeBodyController,
-        command: MotorCommand,
-        get_up: GetUp,
-    ) -> None:
-        self._fsm, self._custody, self._stance = fsm, custody, stance
-        self._estimator, self._detector = estimator, detector
-        self._controller, self._command, self._get_up = controller, command, get_up
-
-    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        """Begin with the first key pose."""
-        self._controller.leave()
-        self._get_up.begin(state, now)
+    def of(self, locomotion: Locomotion) -> Driver:
+        """The one of a state."""
+        return self._drivers[locomotion]
 
     def proceed(self, state: RobotState, now: float) -> None:
-        """Go on with the next key pose, be done, or give up."""
-        get_up = self._get_up
-        before = get_up.progress
-        get_up.update(state, now)
-        if get_up.failure:
-            self._custody.fall(f"getting up was given up: {get_up.failure}")
-        elif get_up.done and (reason := self._stance.lost(state)):
-            self._custody.fall(f"getting up was given up: {reason}")
-        elif get_up.done:
-            self._estimator.reset()
-            self._detector.reset()
-            self._fsm.go(Behavior.STAND_PREP, "up again")
-        elif get_up.progress != before:
-            self._fsm.remark(get_up.progress)
+        """Who drove and goes on may find that its state ends."""
+        if self.current is self.of(self._fsm.locomotion):
+            self.current.proceed(state, now)
+
+    def change(self, state: RobotState, now: float) -> None:
+        """Hand the joints over if the Locomotion FSM has another state than in the last period."""
+        before, self.current = self.current, self.of(self._fsm.locomotion)
+        if self.current is before:
+            return
+        if before is not None:
+            before.leave(self._fsm.locomotion)
+        self.current.enter(before, state, now)
 
     def drive(self, state: RobotState, now: float, dt: float) -> None:
-        """Towards the key pose."""
-        self._get_up.drive(self._command, state, now)
+        """Fill the command of this period, after ``change``."""
+        assert self.current is not None
+        self.current.drive(state, now, dt)
 
-    def hand_over(self, posture: PostureControl, state: RobotState, now: float) -> None:
-        """With the efforts that were commanded last."""
-        posture.take_over(state.joint_position)
+    def let_go(self, to: Locomotion) -> None:
+        """Whatever holds the joints in a state begins anew, from where they are found."""
+        if self.current is not None:
+            self.current.leave(to)
+        self.current = None
+
+    def go_limp(self) -> None:
+        """Fall without a state of the robot to be believed: nothing is taken over."""
+        self.current = self.of(Locomotion.FALL)
+
+    def not_prepared(self, state: RobotState, now: float) -> str:
+        """Why the nominal posture is not reached; an empty text: it is."""
+        return self.current.not_prepared(state, now) if self.current else JUST_BEGUN

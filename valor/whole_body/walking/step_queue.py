@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from valor.common.messages import StepStatus
 from valor.whole_body.walking.footsteps import Step
 from valor.whole_body.walking.swing import SolePose
 
@@ -56,6 +57,18 @@ class StepQueue:
         if self.steps:
             return self.steps[0].index
         return (self.executing.index if self.executing else self.last_performed) + 1
+
+    def status(self, time: int) -> StepStatus:
+        """What is being stepped, at robot time ``time`` [ns]."""
+        return StepStatus(
+            time=time,
+            state=self.state,
+            reason=self.reason,
+            queue_size=len(self.steps),
+            last_performed_step_index=self.last_performed,
+            executing_step_index=self.executing.index if self.executing else -1,
+            first_changeable_step_index=self.first_changeable,
+        )
 
     def take_finished(self) -> bool:
         """Whether a plan has been finished since this was asked last."""
