@@ -30,7 +30,6 @@ from valor.service import StatisticsPublisher
 
 FEEDBACK_PERIOD = 0.1  # at most, from one to the next [s]
 TRANSFORM_PATIENCE = 1.0  # for a transform as new as a plan's stamp [s]
-LATE_WORDS = 3  # about the running plan, on their way when the answer to an update was heard
 
 _F = FootstepExecutionStatus
 _log = logging.getLogger("footstep_converter")
@@ -50,17 +49,7 @@ class _Handover:
 
     goal: Goal
     steps: list[PlannedStep]
-    changeable: int  # of the running plan that it changes, the first step that can be; -1: none runs
     reply: Future[FootstepPlanReply]
-
-
-@dataclass
-class _Refusal:
-    """A change that was refused; why may be on its way: the step that it was to begin with has begun."""
-
-    handover: _Handover
-    outcome: Outcome
-    heard: int = 0  # words about the running plan since
 
 
 class PlanRunner:
@@ -90,10 +79,8 @@ class PlanRunner:
         self._wake, self._ros_refusal = wake, refusal
         self._waiting: _Waiting | None = None
         self._handover: _Handover | None = None
-        self._refusal: _Refusal | None = None
         self._goal: Goal | None = None  # whose plan runs
         self._execution: Execution | None = None
-        self._unclaimed: list[StepStatus] | None = None  # words of a plan handed over, before its acceptance is heard
         self._stop_goals: list[Goal] = []  # that asked for the running plan's end
         self._stop = Stop(motion, wake)
         self._next_feedback = 0.0
@@ -155,17 +142,19 @@ class PlanRunner:
         except PlanError as error:
             self._refuse(goal, error)
         else:
-            running = self._execution.running_plan.first_changeable if self._execution is not None else -1
-            self._handover = _Handover(goal, steps, running, self._motion.request(steps, self._wake))
+            self._handover = _Handover(goal, steps, self._motion.request(steps, self._wake))
             goal.progress(None)
 
     def _refuse(self, goal: Goal, error: PlanError) -> None:
+        self._not_taken(goal, aborted(error.status, str(error), error.error))
+
+    def _not_taken(self, goal: Goal, refused: Outcome) -> None:
         self._statistics.rejected += 1
-        _log.warning("plan refused: %s", error)
-        goal.end(Outcome(End.ABORTED, error.status, error.error, str(error)))
+        _log.warning("plan refused: %s", refused.text)
+        goal.end(refused)
 
     def _convert(self, goal: Goal) -> list[PlannedStep]:
-        if self._handover is not None or self._waiting is not None or self._refusal is not None:
+        if self._handover is not None or self._waiting is not None:
             raise _not_now("another plan is being handed to the Motion Manager; send this one again")
         if self._execution is not None and (self._execution.stopping or self._stop.wanted):
             raise _not_now("the running plan is being stopped; send this one again when the robot stands")
@@ -209,7 +198,7 @@ class PlanRunner:
         now = time.monotonic()
         refused = self._refused(handover.reply)
         if refused is not None:
-            self._not_taken(handover, refused)
+            self._not_taken(handover.goal, refused)
         elif self._execution is not None:
             self._update(handover)
         else:
@@ -217,8 +206,7 @@ class PlanRunner:
             self._execution = Execution(handover.steps, now)
             self._goal = handover.goal
             self._next_feedback = now
-            self._hear(self._execution, self._goal, self._unclaimed or (), now)
-            self._unclaimed = None
+            self._hear(self._execution, self._goal, _of_steps_begun(self._motion.step_statuses()), now)
             _log.info("plan of %d steps accepted", len(handover.steps))
         if self._goal is not None and self._goal.cancel_requested:
             self._stop.wanted = True
@@ -240,33 +228,6 @@ class PlanRunner:
             return aborted(_F.ERR_UNKNOWN, f"{FOOTSTEP_PLAN.name}: {error}")
         return None if answer.accepted else refusal(answer.behavior, answer.reason)
 
-    def _not_taken(self, handover: _Handover, refused: Outcome) -> None:
-        if self._execution is not None and handover.changeable >= 0:
-            self._refusal = _Refusal(handover, refused)
-            self._reconsider(self._execution, 0)
-        else:
-            self._end_refused(handover.goal, refused)
-
-    def _reconsider(self, execution: Execution, heard: int) -> None:
-        """A refused change, now that so many words have been heard of the running plan: what comes behind may do."""
-        refusal = self._refusal
-        if refusal is None:
-            return
-        refusal.heard += heard
-        later = execution.running_plan.first_changeable > refusal.handover.changeable
-        if execution.outcome is None and not later and refusal.heard < LATE_WORDS:
-            return
-        self._refusal = None
-        if execution.outcome is None and later:
-            self._take(refusal.handover.goal, time.monotonic())
-        else:
-            self._end_refused(refusal.handover.goal, refusal.outcome)
-
-    def _end_refused(self, goal: Goal, refused: Outcome) -> None:
-        self._statistics.rejected += 1
-        _log.warning("plan not taken: %s", refused.text)
-        goal.end(refused)
-
     def _update(self, handover: _Handover) -> None:
         """The Motion Manager took a goal's steps into the running plan: the goal before it has given way."""
         assert self._execution is not None
@@ -284,16 +245,15 @@ class PlanRunner:
         """What the Motion Manager says of the running plan; feedback; its end."""
         now = time.monotonic()
         self._stop.send(self._execution, now, held=self._handover is not None)
-        statuses = self._motion.step_statuses()
         execution, goal = self._execution, self._goal
         if execution is None or goal is None:
-            self._keep(statuses)
+            if self._handover is None:  # else they may be about it: they wait for the answer
+                self._motion.step_statuses()
             return
         if (state := self._motion.behavior()) is not None:
             execution.heard_behavior(state.behavior, state.reason, now, state.time)
-        self._hear(execution, goal, statuses, now)
+        self._hear(execution, goal, self._motion.step_statuses(), now)
         execution.passed(now)
-        self._reconsider(execution, len(statuses))
         if execution.outcome is not None:
             self._end(execution, goal, execution.outcome)
         elif now >= self._next_feedback:
@@ -308,16 +268,6 @@ class PlanRunner:
             if execution.outcome is None and execution.progress.indices != told:
                 self._next_feedback = now + FEEDBACK_PERIOD
                 goal.progress(execution)
-
-    def _keep(self, statuses: Sequence[StepStatus]) -> None:
-        """Keep what is said of steps begun since a plan of ours was handed over, and none were being taken."""
-        for status in statuses:
-            if status.state != "executing":
-                self._unclaimed = []
-            elif self._unclaimed is not None:
-                self._unclaimed.append(status)
-        if self._handover is None and self._unclaimed:
-            self._unclaimed = None  # somebody else's
 
     def _end(self, execution: Execution, goal: Goal, outcome: Outcome) -> None:
         _log.info("plan %s after %d steps: %s", outcome.end.value, len(execution.plan), outcome.text or "goal reached")
@@ -335,6 +285,12 @@ class PlanRunner:
         for goal in self._stop_goals:
             goal.end(outcome)
         self._stop_goals = []
+
+
+def _of_steps_begun(statuses: Sequence[StepStatus]) -> Sequence[StepStatus]:
+    """Without what is said up to the end of the plan before."""
+    ends = (at for at in range(len(statuses), 0, -1) if statuses[at - 1].state != "executing")
+    return statuses[next(ends, 0) :]
 
 
 _STOPPED = Outcome(End.SUCCEEDED, _F.PREMATURE_HALT, ErrorStatus.NO_ERROR, "the running plan has ended")

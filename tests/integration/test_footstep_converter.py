@@ -487,22 +487,27 @@ def test_an_update_takes_over_from_where_the_robot_is(motion: ScriptedMotionMana
         assert indices == sorted(indices)
 
 
-def test_an_update_that_comes_a_step_too_late_changes_what_comes_behind(
+def test_an_update_that_the_robot_overtakes_on_its_way_leaves_in_place_what_has_begun(
     motion: ScriptedMotionManager, ros_client: Client
 ) -> None:
+    """By which the Motion Manager knows that the rest can be taken."""
     goal = begin(motion, ros_client)
 
-    def too_late(request: FootstepPlanRequest) -> tuple[bool, str]:
-        if request.steps[0].step_index > 2:
-            return True, ""
-        motion.says("executing", performed=1, executing=2, queue=1, changeable=3)
+    def overtaken(request: FootstepPlanRequest) -> tuple[bool, str]:
+        motion.says("executing", performed=1, executing=2, queue=3, changeable=3)
         assert motion.step_status is not None
         motion.publish(motion.step_status)
-        return False, "step 2 cannot be changed now"
+        return True, ""
 
-    motion.accepts = too_late
-    update = ros_client.send(plan(first=2, count=4))
-    assert "from step 3 on" in ros_client.outcome(goal)[2]
+    motion.accepts = overtaken
+    shifted = plan(first=2, count=4)
+    for step in shifted.steps:
+        step.foot.pose.position.y += 0.05
+    update = ros_client.send(shifted)
+    assert ros_client.outcome(goal)[1] == S.UPDATED_STEP_PLAN
+    planned, sent = motion.requests[0].steps[2], motion.requests[1].steps[0]
+    np.testing.assert_array_equal(sent.position_in_odom, planned.position_in_odom)
+    np.testing.assert_array_equal(sent.orientation_in_odom, planned.orientation_in_odom)
     motion.says("finished", performed=5)
     assert ros_client.outcome(update)[:2] == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL)
 

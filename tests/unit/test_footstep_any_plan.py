@@ -264,12 +264,13 @@ def test_a_plan_is_good_as_a_whole_or_moves_nothing(plan: StepPlan, broken: list
     assert not bench.go_on()  # nothing moves
 
 
-@given(st.integers(0, 7), st.integers(0, 9), st.integers(1, 5), st.lists(breaks, max_size=3))
+@example(events=2, overtaken=True, first=2, count=5, broken=[])
+@given(st.integers(0, 7), st.booleans(), st.integers(0, 9), st.integers(1, 5), st.lists(breaks, max_size=3))
 @examples(80)
 def test_an_update_is_good_as_a_whole_or_the_running_plan_goes_on(
-    events: int, first: int, count: int, broken: list[Break]
+    events: int, overtaken: bool, first: int, count: int, broken: list[Break]
 ) -> None:
-    """The same steps anew from anywhere, whole or broken, at any moment of a plan of six."""
+    """The same steps anew from anywhere, whole or broken, at any moment of a plan of six, which may go on meanwhile."""
     plan = make_plan([MOVE] * 15)
     bench = ready_for(plan)
     update = copy.deepcopy(plan)
@@ -285,7 +286,11 @@ def test_an_update_is_good_as_a_whole_or_the_running_plan_goes_on(
     for each in broken:
         each(update)
     running = RunningPlan(accepted, bench.status.first_changeable_step_index)
+    if overtaken:
+        bench.go_on()
     outcome = hand_over(bench, update, running)
+    if overtaken and not broken and events > 0 and first == events < first + count - 1 < 6:
+        assert isinstance(outcome, list)
     bench.finish()
     if isinstance(outcome, list):
         merged = running.updated(outcome)

@@ -118,6 +118,22 @@ def test_goes_on_behind_the_last_step_while_it_is_taken_and_until_it_is_at_rest(
     assert bench.status.state == "finished"
 
 
+def test_a_change_that_the_robot_has_overtaken_on_its_way_changes_what_comes_behind() -> None:
+    """Its first step is being taken already, and stays where it was; one that moves it comes too late."""
+    bench = Bench()
+    assert not bench.send(ahead(0, 4))
+    for _ in range(3):
+        bench.go_on()
+    assert bench.status.executing_step_index == 2
+    assert "step 2 cannot be changed now" in bench.send(ahead(2, 3, x=0.41))
+    assert "step 2 cannot be changed now" in bench.send(ahead(2, 1))
+    assert "step 1 cannot be changed now" in bench.send(ahead(1, 4))
+    assert not bench.send([*ahead(2, 1), *ahead(3, 2, length=0.1, x=0.6)])
+    bench.finish()
+    np.testing.assert_allclose([step.sole.position[0] for step in bench.taken], (0.2, 0.4, 0.6, 0.7, 0.8))
+    assert (bench.status.state, bench.status.reason) == ("finished", "")
+
+
 def test_a_plan_that_has_not_begun_can_change_as_a_whole() -> None:
     bench = Bench()
     assert not bench.send(ahead(0, 3))

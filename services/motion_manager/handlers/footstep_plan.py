@@ -2,7 +2,7 @@
 
 The rules are those of vigir_step_control: where none runs a plan starts with step 0, otherwise with a step that can
 still be changed, or with the one behind the last; a plan without steps stops after the step that is being taken, feet
-together.
+together. Of a plan that the robot has overtaken on its way, what is still to come is taken.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]
             raise PlanError(f"the plan that runs is ending ({self._queue.reason}); send another once the robot stands")
         if self._recovering():
             raise PlanError("the robot is stepping to keep its balance; send the plan once it stands")
-        steps = [self._step(step, rule) for step in asked]
+        steps = self._to_come([self._step(step, rule) for step in asked])
         before = self._before(steps[0])
         other = before.sole if before is not None else self._soles()[1 - steps[0].foot]
         for step in steps:
@@ -129,6 +129,14 @@ class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]
             self._queue.update(steps)
         else:
             self._queue.begin(steps)
+
+    def _to_come(self, steps: list[Step]) -> list[Step]:
+        """A plan without the step that is being taken, where it leaves that in place: it has begun meanwhile."""
+        first, taken = steps[0], self._queue.executing
+        if taken is None or len(steps) == 1 or (first.index, first.foot) != (taken.index, taken.foot):
+            return steps
+        same = np.array_equal(first.sole.position, taken.sole.position)
+        return steps[1:] if same and np.array_equal(first.sole.rotation, taken.sole.rotation) else steps
 
     def _before(self, first: Step) -> Step | None:
         """The step that a plan's first one follows, or None.
