@@ -79,7 +79,7 @@ demo: $(STAMP)
 # Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other; beside
 # them the rest, and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even where
 # PYTHONDONTWRITEBYTECODE is set.
-BESIDE := $(wildcard $(patsubst %,tests/integration/test_%.py,bag_recorder demo_walk experiments footstep_converter \
+BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsubst %,test_%.py,demo_walk experiments \
   getting_up installed wheels))
 TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 test: $(STAMP) lint
