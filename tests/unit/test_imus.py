@@ -1,0 +1,111 @@
+"""IMUs of either make on a pseudo-terminal: what goes wrong with one, and with its driver's start."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from harness.device_bench import UNSOUND, Bench, ailing, sound
+from harness.places import ROBOTS
+from harness.waiting import wait_until
+from valor.comms_manager.hardware.device import DeviceError, Fault
+from valor.device_emulators.emulator import EmulatedFault
+from valor.devices.kvh import Kvh1750
+from valor.robot.description import RobotDescription
+
+ESCHER = RobotDescription.load(ROBOTS / "escher")
+DEVICES = {**ESCHER.tables.devices, "kvh": Kvh1750(serial="1750-0042", rate=250)}
+
+
+def altered(name: str, **keys: object) -> RobotDescription:
+    """ESCHER with a KVH beside its IMU, and other values in the table of one of the two."""
+    devices = {**DEVICES, name: replace(DEVICES[name], **keys)}
+    return RobotDescription(ESCHER.folder, replace(ESCHER.tables, devices=devices))
+
+
+@pytest.fixture(params=["imu", "kvh"])
+def bench(home: Path, request: pytest.FixtureRequest) -> Iterator[Bench]:
+    bench = Bench(altered(request.param), request.param, home)
+    yield bench
+    bench.close()
+
+
+@pytest.mark.parametrize("fault", UNSOUND)
+def test_nothing_of_a_sick_sensor_is_believed_and_it_is_used_again_when_well(
+    bench: Bench, fault: EmulatedFault
+) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject(bench.device, fault)
+        looks, record = driver.looks, driver.records[0]  # what came before the fault is yet to be read
+        wait_until(lambda: driver.looks > looks + 5 and time.monotonic_ns() - record.stamp > 1e8, 10, "silence")
+        before, now = record.states, bench.robot.time
+        wait_until(lambda: bench.robot.time > now + 0.1, 10, "the sensor has measured on")
+        assert record.states == before
+        assert (record.errors > 0) is (fault is not EmulatedFault.SILENT)
+        bench.heal()
+        sound(driver)
+
+
+def test_what_comes_twice_is_taken_once(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject(bench.device, EmulatedFault.DUPLICATE)
+        record = driver.records[0]
+        wait_until(lambda: record.errors >= 20, 10, "refused packets")
+        states, errors = record.states, record.errors
+        wait_until(lambda: record.errors >= errors + 20, 10, "refused packets")
+        assert abs((record.states - states) - (record.errors - errors)) <= 2
+
+
+def test_an_unplugged_sensor_is_told_of_and_found_again(bench: Bench) -> None:
+    with bench.running() as driver:
+        sound(driver)
+        bench.inject(bench.device, EmulatedFault.UNPLUGGED)
+        assert "gone" in ailing(driver, bench.device, Fault.UNPLUGGED).detail
+        bench.heal()
+        before = driver.attitude
+        sound(driver)
+        wait_until(lambda: driver.attitude is not before, 10, "it knows its attitude again")
+
+
+@pytest.mark.parametrize(
+    ("bench", "table", "message"),
+    [
+        ("imu", {"model": "3DM-GX5-25"}, "imu: model '3DM-GX4-25'; expected '3DM-GX5-25'"),
+        ("imu", {"serial": "6234.1"}, "imu: serial number '6234.40117'; expected '6234.1'"),
+        ("imu", {"firmware": "1.1.25"}, "imu: firmware '1.1.26'; expected '1.1.25'"),
+        ("imu", {"rate": 300}, "imu: rate 300 Hz .*a whole fraction of its 500 Hz"),
+        ("kvh", {"serial": "7"}, "kvh: serial number '1750-0042'; expected '7'"),
+    ],
+    indirect=["bench"],
+)
+def test_another_sensor_is_refused(bench: Bench, table: dict[str, object], message: str) -> None:
+    driver = bench.driver(altered(bench.device, **table))
+    with pytest.raises(DeviceError, match=message):
+        driver.find()
+    driver.close()
+
+
+@pytest.mark.parametrize(
+    ("bench", "fault", "message"),
+    [
+        ("imu", EmulatedFault.SILENT, "imu: no answer .*expected a 3DM-GX4-25 with serial number"),
+        ("imu", EmulatedFault.BAD_CHECKSUM, "imu: no answer"),
+        ("imu", EmulatedFault.UNPLUGGED, "imu: .*cannot be opened.*expected a 3DM-GX4-25"),
+        ("kvh", EmulatedFault.SILENT, "kvh: no answer within 1 s; expected a KVH 1750 with serial number 1750-0042"),
+        ("kvh", EmulatedFault.UNPLUGGED, "kvh: .*cannot be opened.*expected a KVH 1750 with serial number 1750-0042"),
+    ],
+    indirect=["bench"],
+)
+def test_start_is_refused_without_a_sensor(bench: Bench, fault: EmulatedFault, message: str) -> None:
+    bench.inject(bench.device, fault)
+    wait_until(lambda: fault is not EmulatedFault.UNPLUGGED or not list(bench.instance.ports.iterdir()), 5, "unplugged")
+    driver = bench.driver()
+    with pytest.raises(DeviceError, match=message):
+        driver.find()
+    driver.close()
