@@ -10,6 +10,7 @@ import typer
 from bifrost.cli import completion
 from bifrost.cli.terminal import (
     DAEMON_TIMEOUT,
+    Catalogue,
     Json,
     end_json,
     lines,
@@ -36,19 +37,20 @@ ServiceName = Annotated[
 
 
 @service.command("list")
-def service_list(as_json: Json = False) -> None:
+def service_list(context: typer.Context, as_json: Json = False) -> None:
     """List every service, its types, and who serves it."""
+    catalogue = Catalogue.of(context)
     with own_node() as node:
         graph = node.graph(DAEMON_TIMEOUT)
     if as_json:
-        print_json([_service_json(graph, info) for info in graph.services.values()])
+        print_json([_service_json(graph, info) | catalogue.json(info.name) for info in graph.services.values()])
         return
     rows = []
     for info in graph.services.values():
         types = sorted({" -> ".join(end.types) for end in (*info.servers, *info.clients)})
         servers = ", ".join(end.node for end in info.servers) or "-"
-        rows.append((info.name, " ≠ ".join(types), servers, str(len(info.clients))))
-    print_table(("service", "type", "served by", "clients"), rows)
+        rows.append((info.name, " ≠ ".join(types), servers, str(len(info.clients)), *catalogue.cells(info.name)))
+    print_table(("service", "type", "served by", "clients", *catalogue.columns), rows)
 
 
 @service.command("call")

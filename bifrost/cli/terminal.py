@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import functools
 import json
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -19,6 +21,42 @@ from bifrost.node import Node
 DAEMON_TIMEOUT = 2.0  # [s]
 
 Json = Annotated[bool, typer.Option("--json", help="As JSON.")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Catalogue:
+    """What a larger command line knows of topics or services besides; the verbs find it as Click's context object.
+
+    Attributes:
+        columns: what ``list`` shows of an entry: keys by their headings.
+        read: what is known of each by its name, as JSON; ``info`` shows it, ``--json`` has it as ``catalogue``.
+    """
+
+    columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    read: Callable[[], Mapping[str, Mapping[str, Any]]] = dict
+
+    @functools.cached_property
+    def entries(self) -> Mapping[str, Mapping[str, Any]]:
+        """Read when they are needed."""
+        return self.read()
+
+    @classmethod
+    def of(cls, context: typer.Context) -> Catalogue:
+        """The one that a command was mounted with, else an empty one."""
+        return context.find_object(cls) or cls()
+
+    def cells(self, name: str) -> tuple[str, ...]:
+        """Of a line of ``list``."""
+        values = (self.entries.get(name, {}).get(key) for key in self.columns.values())
+        return tuple("" if value is None else _number(value) for value in values)
+
+    def json(self, name: str) -> dict[str, Any]:
+        """To add to an object."""
+        return {"catalogue": self.entries.get(name)} if self.columns else {}
+
+    def lines(self, name: str) -> Iterator[str]:
+        """Of ``info``."""
+        yield from lines({key: value for key, value in self.entries.get(name, {}).items() if value is not None}, "  ")
 
 
 @contextlib.contextmanager

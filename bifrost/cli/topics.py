@@ -13,6 +13,7 @@ import typer
 from bifrost.cli import completion
 from bifrost.cli.terminal import (
     DAEMON_TIMEOUT,
+    Catalogue,
     Json,
     end_json,
     lines,
@@ -49,13 +50,14 @@ TopicName = Annotated[
 
 
 @topic.command("list")
-def topic_list(as_json: Json = False) -> None:
+def topic_list(context: typer.Context, as_json: Json = False) -> None:
     """List every topic, its type, publishers and number of subscribers."""
+    catalogue = Catalogue.of(context)
     with own_node() as node:
         graph = node.graph(DAEMON_TIMEOUT)
     topics = [info for info in graph.topics.values() if info.publishers or info.subscribers]
     if as_json:
-        print_json([_topic_json(graph, info, {}) for info in topics])
+        print_json([_topic_json(graph, info, {}) | catalogue.json(info.name) for info in topics])
         return
     rows = [
         (
@@ -63,18 +65,20 @@ def topic_list(as_json: Json = False) -> None:
             " ≠ ".join(info.types) or "?",
             ", ".join(end.node for end in info.publishers) or "-",
             str(len(info.subscribers)),
+            *catalogue.cells(info.name),
         )
         for info in topics
     ]
-    print_table(("topic", "type", "published by", "subscribers"), rows)
+    print_table(("topic", "type", "published by", "subscribers", *catalogue.columns), rows)
 
 
 @topic.command("info")
-def topic_info(name: TopicName, as_json: Json = False) -> None:
+def topic_info(context: typer.Context, name: TopicName, as_json: Json = False) -> None:
     """Show a topic's type with its fields, who is at either end, and what has passed, been dropped and refused there.
 
     The counts are those that each node told last, a second ago at most.
     """
+    catalogue = Catalogue.of(context)
     with own_node() as node:
         graph = node.graph(DAEMON_TIMEOUT)
         told = counts(node.network, name, DAEMON_TIMEOUT)
@@ -82,10 +86,10 @@ def topic_info(name: TopicName, as_json: Json = False) -> None:
     if info is None:
         raise Error(f"topic {name}: nobody publishes or subscribes to it")
     if as_json:
-        print_json(_topic_json(graph, info, told))
+        print_json(_topic_json(graph, info, told) | catalogue.json(name))
         return
     hashes = sorted({digest for end in (*info.publishers, *info.subscribers) for digest in end.hashes})
-    print(f"topic {name}")
+    print("\n".join([f"topic {name}", *catalogue.lines(name)]))
     for digest in hashes:
         schema = graph.schemas[digest]
         for type_name in sorted(schema.types, key=lambda each: each != schema.name):

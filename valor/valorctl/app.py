@@ -78,6 +78,12 @@ class _Mounted(TyperGroup):
 
         return _strict(command(self.name or "", self._instance))
 
+    def invoke(self, ctx: Any) -> Any:
+        from valor.valorctl.verbs.bifrost_verbs import catalogue
+
+        ctx.obj = catalogue(self.name or "", self._instance)
+        return super().invoke(ctx)
+
     def list_commands(self, ctx: Any) -> list[str]:
         return list(self._group.list_commands(ctx))
 

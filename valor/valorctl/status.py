@@ -10,6 +10,7 @@ from typing import Any
 from valor.common.behaviors import Behavior, ControlMode
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ClockStatus
+from valor.common.processes import BY_NAME
 from valor.valorctl.health import Health
 from valor.valorctl.recording_report import Glance
 
@@ -108,6 +109,10 @@ class Status:
                     "memory_mib": service.memory_mib,
                     "restarts": service.restarts,
                     "detail": service.detail,
+                    "description": BY_NAME[service.name].description,
+                    "needs": [*BY_NAME[service.name].needs, *BY_NAME[service.name].after],
+                    "cpu_budget_percent": BY_NAME[service.name].cpu_budget,
+                    "memory_budget_mib": BY_NAME[service.name].memory_budget,
                 }
                 for service in self.services
             ],

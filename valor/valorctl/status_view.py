@@ -12,7 +12,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from valor.valorctl.console import rich_console
+from valor.common.processes import BY_NAME
+from valor.valorctl.console import rich_console, table
 from valor.valorctl.status import WAY_OUT, Status
 
 GOOD, WAITING, BAD, DIM = "green", "yellow", "bold red", "dim"
@@ -77,20 +78,23 @@ def _robot(status: Status) -> list[Text]:
 
 
 def _services(status: Status) -> Table:
-    table = Table(box=None, pad_edge=False, header_style=DIM)
-    table.add_column("service")
-    table.add_column("state")
-    for name in ("pid", "CPU %", "MiB", "restarts"):
-        table.add_column(name, justify="right")
-    table.add_column("", overflow="fold")
+    """How they fare; beside what each takes, its budget."""
+    numbers = ("pid", "CPU %", "MiB", "restarts")
+    shown = table("service", "state", *numbers, numbers=numbers)
+    shown.add_column("", overflow="fold")
     for service in status.services:
-        table.add_row(
+        budget = BY_NAME[service.name]
+        shown.add_row(
             service.name,
             Text(service.state, _STATES[service.state]),
             str(service.pid or "–"),
-            "–" if service.cpu_percent is None else f"{service.cpu_percent:.0f}",
-            "–" if service.memory_mib is None else f"{service.memory_mib:.0f}",
+            _of(service.cpu_percent, budget.cpu_budget),
+            _of(service.memory_mib, budget.memory_budget),
             Text(str(service.restarts), WAITING if service.restarts else ""),
             Text(service.detail),
         )
-    return table
+    return shown
+
+
+def _of(taken: float | None, budget: float) -> str:
+    return f"{'–' if taken is None else f'{taken:.0f}'} of {budget:.0f}"
