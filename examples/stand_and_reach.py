@@ -7,6 +7,8 @@ ROS_DOMAIN_ID):
 
     python stand_and_reach.py [--json FILE]
 
+``perform`` is the whole motion; ``Robot`` shows how each part of it is done over ROS 2.
+
 Exit status: 0 when every goal succeeded and every joint ended within 0.02 rad of its goal; 1 otherwise, with one line
 on standard error that says why; 130 when interrupted, after the running motion is canceled.
 """
@@ -20,24 +22,29 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 from xml.etree import ElementTree
 
 import rclpy
 from action_msgs.msg import GoalStatus
-from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from controller_manager_msgs.srv import ListControllers
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from streams import Streams, lines, seconds  # beside this file
 from trajectory_msgs.msg import JointTrajectoryPoint
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
@@ -45,10 +52,13 @@ from vigir_humanoid_control_msgs.msg import ControlModeStatus
 MODE_TOPIC = "/flor/controller/mode"
 MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
 CONTROLLERS = "/controller_manager/list_controllers"
+TRAJECTORY_ACTION = "/trajectory_controllers/{}/follow_joint_trajectory"
 ARM, NECK = "right_arm_traj_controller", "neck_traj_controller"
 
-# Postures [rad] by how a joint's name ends. What is not named is 0; what a robot has no such joint for is left out.
-Posture = dict[str, float]
+Posture = dict[str, float]  # joint positions [rad]
+Point = tuple[float, Posture]  # of a trajectory: when at the earliest [s], and where
+
+# Postures by how a joint's name ends. What is not named is 0; what a robot has no such joint for is left out.
 FORWARD: Posture = {"shoulder_pitch": -0.7, "shoulder_roll": -0.15, "elbow_pitch": 0.3, "wrist_pitch": 0.2}
 ASIDE: Posture = {
     "shoulder_pitch": -0.9, "shoulder_roll": -0.6, "shoulder_yaw": -0.3, "elbow_pitch": 0.9, "elbow_roll": 0.4,
@@ -62,10 +72,12 @@ SPEED = 0.5  # most of a joint's speed limit, on average between two points
 MARGIN = 0.02  # to a joint's stops [rad]
 SETTLE = 0.7  # of robot time, from a goal's end until the final joint positions are taken [s]
 AVERAGE = 0.3  # of robot time, over which they are averaged [s]
-DISCOVERY = 20.0  # for topics and actions to appear [s]
-MODE_CHANGE = 20.0  # [s]
+PATIENCE = 20.0  # with topics and actions to appear, with answers, with a change of mode [s]
 CANCEL = 3.0  # [s]
 SLOWEST = 0.1  # real-time factor below which a motion is given up
+
+
+say = partial(print, flush=True)  # at once, in a pipe too
 
 
 class ClientError(Exception):
@@ -102,8 +114,43 @@ class Limits:
     velocity: float  # [rad/s]
 
 
+def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
+    """The whole motion, a line a step."""
+    robot.connect()
+    say(f"connected; control mode {robot.mode}")
+    changes: list[ModeChange] = []
+    motions: list[Motion] = []
+
+    def change(mode: str) -> None:
+        changes.append(robot.change_mode(mode))
+        say(f"control mode {mode} after {1e3 * changes[-1].latency:.0f} ms")
+
+    def follow(name: str, controller: str, *points: Point) -> None:
+        motions.append(motion := robot.follow(name, controller, list(points)))
+        say(
+            f"{name}: done in {motion.seconds:.1f} s, largest error {motion.max_error:.4f} rad ({motion.worst_joint}), "
+            f"pelvis moved {motion.pelvis_displacement:.2f} cm"
+        )
+
+    arm, neck = (robot.joints_of(controller) for controller in (ARM, NECK))
+    if not all(any(joint.endswith(end) for joint in arm) for end in REACH):
+        raise ClientError(f"{ARM} moves {', '.join(arm)}: to reach, it needs {' and '.join(REACH)}")
+    if robot.mode != "stand":
+        change("stand")
+    home = robot.settled(arm)
+    change("stand_manipulate")
+    forward, aside = (robot.posture(arm, named) for named in (FORWARD, ASIDE))
+    look_aside, look_ahead = (robot.posture(neck, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
+    follow("right arm forward, then aside", ARM, (2.5, forward), (4.5, aside))
+    follow("neck looks at the hand", NECK, (1.5, look_aside))
+    follow("right arm home", ARM, (2.0, forward), (4.5, home))
+    follow("neck ahead", NECK, (1.5, look_ahead))
+    change("stand")
+    return changes, motions
+
+
 class Robot:
-    """The robot as this client hears it."""
+    """The robot as this client hears it: its newest mode, and all states since the start."""
 
     def __init__(self) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # an interrupted motion is canceled first
@@ -111,65 +158,38 @@ class Robot:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self.mode: str | None = None
-        self.joints: dict[str, float] = {}
-        self.pelvis: tuple[float, float] | None = None  # in odom [m]
-        self.clock: float | None = None  # robot time [s]
         self.limits: dict[str, Limits] = {}  # by joint
-        self._joint_listeners: list[Callable[[dict[str, float]], None]] = []
-        self._pelvis_listeners: list[Callable[[tuple[float, float]], None]] = []
-        self._clock_first: tuple[float, float] | None = None  # robot time, wall time [s]
-        self._clock_last = (0.0, 0.0)
-        self._states = 0
-        self._stamp = self._stamp_first = 0.0  # of joint_states, robot time [s]
-        self._states_first = self._states_last = 0.0  # wall [s]
-        self._ages: list[float] = []  # [s]
+        self.states: list[JointState] = []
+        self.pelvis: list[tuple[float, float]] = []  # in odom [m]
+        self.clock: float | None = None  # robot time [s]
+        self.streams = Streams(self.node)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(ControlModeStatus, MODE_TOPIC, self._hear_mode, latched)
-        self.node.create_subscription(JointState, "/joint_states", self._hear_joints, qos_profile_sensor_data)
-        self.node.create_subscription(Odometry, "/odom", self._hear_odometry, qos_profile_sensor_data)
         self.node.create_subscription(String, "/robot_description", self._hear_description, latched)
+        self.node.create_subscription(JointState, "/joint_states", self.states.append, qos_profile_sensor_data)
+        self.node.create_subscription(Odometry, "/odom", self._hear_odometry, qos_profile_sensor_data)
         self.node.create_subscription(Clock, "/clock", self._hear_clock, qos_profile_sensor_data)
         self.modes = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
         self.controllers = self.node.create_client(ListControllers, CONTROLLERS)
         self.actions = {
-            name: ActionClient(
-                self.node, FollowJointTrajectory, f"/trajectory_controllers/{name}/follow_joint_trajectory"
-            )
-            for name in (ARM, NECK)
+            name: ActionClient(self.node, FollowJointTrajectory, TRAJECTORY_ACTION.format(name)) for name in (ARM, NECK)
         }
 
     def _hear_mode(self, status: ControlModeStatus) -> None:
         self.mode = status.current_control_mode
 
-    def _hear_joints(self, state: JointState) -> None:
-        now = time.monotonic()
-        self.joints = dict(zip(state.name, state.position, strict=True))
-        self._states_first = self._states_first or now
-        self._states_last = now
-        self._states += 1
-        self._stamp = seconds(state.header.stamp)
-        self._stamp_first = self._stamp_first or self._stamp
-        for listener in self._joint_listeners:
-            listener(self.joints)
-
     def _hear_description(self, description: String) -> None:
         for joint in ElementTree.fromstring(description.data).iterfind("joint"):
             if (limit := joint.find("limit")) is not None:
-                lower, upper = (float(limit.get(name, f"{turn}inf")) for name, turn in (("lower", "-"), ("upper", "")))
+                lower, upper = float(limit.get("lower", "-inf")), float(limit.get("upper", "inf"))
                 self.limits[joint.get("name", "")] = Limits(lower, upper, float(limit.get("velocity", "inf")))
 
     def _hear_odometry(self, odometry: Odometry) -> None:
         position = odometry.pose.pose.position
-        self.pelvis = (position.x, position.y)
-        for listener in self._pelvis_listeners:
-            listener(self.pelvis)
+        self.pelvis.append((position.x, position.y))
 
     def _hear_clock(self, clock: Clock) -> None:
         self.clock = seconds(clock.clock)
-        self._clock_last = (self.clock, time.monotonic())
-        self._clock_first = self._clock_first or self._clock_last
-        if self._states:
-            self._ages.append(self.clock - self._stamp)
 
     def wait(self, condition: Callable[[], Any], timeout: float, otherwise: str) -> None:
         """Let messages in until the condition holds.
@@ -201,20 +221,19 @@ class Robot:
         """
         needs: dict[str, Callable[[], Any]] = {
             f"topic {MODE_TOPIC}": lambda: self.mode is not None,
-            "topic /joint_states": lambda: self.joints,
-            "topic /odom": lambda: self.pelvis is not None,
+            "topic /joint_states": lambda: self.states,
+            "topic /odom": lambda: self.pelvis,
             "topic /robot_description": lambda: self.limits,
             f"service {CONTROLLERS}": self.controllers.service_is_ready,
             f"action {MODE_ACTION}": self.modes.server_is_ready,
             **{f"action of {name}": client.server_is_ready for name, client in self.actions.items()},
         }
         try:
-            self.wait(lambda: all(present() for present in needs.values()), DISCOVERY, "")
+            self.wait(lambda: all(present() for present in needs.values()), PATIENCE, "")
         except ClientError:
             absent = ", ".join(name for name, present in needs.items() if not present())
-            raise ClientError(
-                f"not there within {DISCOVERY:g} s: {absent}; is the robot up, and ROS_DOMAIN_ID the robot's?"
-            ) from None
+            advice = "is the robot up, and ROS_DOMAIN_ID the robot's?"
+            raise ClientError(f"not there within {PATIENCE:g} s: {absent}; {advice}") from None
 
     def joints_of(self, controller: str) -> list[str]:
         """The joints that a trajectory controller moves.
@@ -223,7 +242,7 @@ class Robot:
             ClientError: nobody says, there is no such controller, or a joint of it has no limits.
         """
         asked = self.controllers.call_async(ListControllers.Request())
-        self.wait(asked.done, DISCOVERY, f"{CONTROLLERS}: no answer within {DISCOVERY:g} s")
+        self.wait(asked.done, PATIENCE, f"{CONTROLLERS}: no answer within {PATIENCE:g} s")
         interfaces = {each.name: each.required_command_interfaces for each in asked.result().controller}
         if controller not in interfaces:
             raise ClientError(f"{CONTROLLERS} knows no {controller}")
@@ -232,8 +251,8 @@ class Robot:
             raise ClientError(f"/robot_description has no limits of {', '.join(absent)}")
         return joints
 
-    def posture(self, joints: list[str], named: Posture) -> dict[str, float]:
-        """Every joint's position [rad]: as named by the end of its name, else 0; between its stops."""
+    def posture(self, joints: list[str], named: Posture) -> Posture:
+        """Every joint's position: as named by the end of its name, else 0; between its stops."""
         positions = {}
         for joint in joints:
             limits = self.limits[joint]
@@ -244,89 +263,70 @@ class Robot:
     def change_mode(self, mode: str) -> ModeChange:
         """Ask for a control mode and wait until the robot is in it."""
         began = time.monotonic()
-        _, result = self._act(self.modes, ChangeControlMode.Goal(mode_request=mode), MODE_ACTION, MODE_CHANGE)
+        ended = self._act(self.modes, ChangeControlMode.Goal(mode_request=mode), MODE_ACTION, PATIENCE)
         latency = time.monotonic() - began
-        status = result.result
+        status = ended.result.result
         if status.status != ControlModeStatus.MODE_ACCEPTED or status.current_control_mode != mode:
             raise ClientError(
                 f"control mode {mode!r} not reached: status {status.status}, in {status.current_control_mode!r}"
             )
         # The action's result may overtake the topic that the next refusal would be judged by.
-        self.wait(lambda: self.mode == mode, MODE_CHANGE, f"{MODE_TOPIC} still says {self.mode!r}, not {mode!r}")
+        self.wait(lambda: self.mode == mode, PATIENCE, f"{MODE_TOPIC} still says {self.mode!r}, not {mode!r}")
         return ModeChange(mode, latency)
 
-    def follow(self, name: str, controller: str, points: list[tuple[float, dict[str, float]]]) -> Motion:
-        """Move joints along a trajectory and measure where they end.
-
-        Args:
-            name: for people.
-            controller: whose joints they are.
-            points: when at the earliest [s] and where [rad], all of the same joints.
-        """
-        client = self.actions[controller]
+    def follow(self, name: str, controller: str, points: list[Point]) -> Motion:
+        """Move a controller's joints along a trajectory and measure where they end."""
+        joints, asked = list(points[0][1]), points[-1][1]
+        points = self._in_time([(0.0, self._positions(self.states[-1], joints)), *points])
         goal = FollowJointTrajectory.Goal()
-        joints = goal.trajectory.joint_names = list(points[0][1])
-        start = {joint: self.joints[joint] for joint in joints}
-        points = self._in_time(start, points)
-        speeds = velocities([(0.0, start), *points])
-        for (when, positions), speed in zip(points, speeds[1:], strict=True):
-            point = JointTrajectoryPoint(
-                positions=[positions[joint] for joint in joints], velocities=[speed[joint] for joint in joints]
+        goal.trajectory.joint_names = joints
+        for (when, positions), speed in list(zip(points, velocities(points), strict=True))[1:]:
+            goal.trajectory.points.append(
+                JointTrajectoryPoint(
+                    positions=[positions[joint] for joint in joints],
+                    velocities=[speed[joint] for joint in joints],
+                    time_from_start=Duration(seconds=when).to_msg(),
+                )
             )
-            whole = int(when)
-            point.time_from_start = Duration(sec=whole, nanosec=int((when - whole) * 1e9))
-            goal.trajectory.points.append(point)
-        origin = self.pelvis or (0.0, 0.0)
-        farthest = [0.0]
-
-        def keep_farthest(pelvis: tuple[float, float]) -> None:
-            farthest[0] = max(farthest[0], math.dist(origin, pelvis))
-
-        self._pelvis_listeners.append(keep_farthest)
+        way = len(self.pelvis) - 1
         began = time.monotonic()
-        limit = points[-1][0] / SLOWEST + 10.0
-        state, result = self._act(client, goal, name, limit)
+        ended = self._act(self.actions[controller], goal, name, points[-1][0] / SLOWEST + 10.0)
         took = time.monotonic() - began
-        if state != GoalStatus.STATUS_SUCCEEDED or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
+        result = ended.result
+        if ended.status != GoalStatus.STATUS_SUCCEEDED or result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
             raise ClientError(f"{name}: error {result.error_code}: {result.error_string or 'no reason given'}")
         settled = self.settled(joints)
-        self._pelvis_listeners.remove(keep_farthest)
-        errors = {joint: abs(settled[joint] - points[-1][1][joint]) for joint in joints}
+        farthest = max(math.dist(self.pelvis[way], place) for place in self.pelvis[way:])
+        errors = {joint: abs(settled[joint] - asked[joint]) for joint in joints}
         worst = max(errors, key=lambda joint: errors[joint])
-        return Motion(name, result.error_code, took, worst, errors[worst], errors, 100.0 * farthest[0])
+        return Motion(name, result.error_code, took, worst, errors[worst], errors, 100.0 * farthest)
 
-    def _in_time(
-        self, start: dict[str, float], points: list[tuple[float, dict[str, float]]]
-    ) -> list[tuple[float, dict[str, float]]]:
+    def _in_time(self, points: list[Point]) -> list[Point]:
         """The points, later where a joint would have to be faster than it should."""
-        timed, before, elapsed, last = [], start, 0.0, 0.0
-        for when, positions in points:
+        timed = points[:1]
+        for (last, before), (when, positions) in pairwise(points):
             slowest = max(abs(positions[joint] - before[joint]) / self.limits[joint].velocity for joint in positions)
-            elapsed += max(when - last, slowest / SPEED)
-            timed.append((elapsed, positions))
-            before, last = positions, when
+            timed.append((timed[-1][0] + max(when - last, slowest / SPEED), positions))
         return timed
 
-    def settled(self, joints: list[str]) -> dict[str, float]:
-        """Mean joint positions [rad], once the joints have come to rest."""
+    def settled(self, joints: list[str]) -> Posture:
+        """Mean joint positions, once the joints have come to rest."""
         self.wait_robot_time(SETTLE)
-        sums, count = dict.fromkeys(joints, 0.0), [0]
-
-        def add(positions: dict[str, float]) -> None:
-            count[0] += 1
-            for joint in joints:
-                sums[joint] += positions[joint]
-
-        self._joint_listeners.append(add)
+        known = len(self.states)
         self.wait_robot_time(AVERAGE)
-        self.wait(lambda: count[0], DISCOVERY, "/joint_states went silent")
-        self._joint_listeners.remove(add)
-        return {joint: total / count[0] for joint, total in sums.items()}
+        self.wait(lambda: len(self.states) > known, PATIENCE, "/joint_states went silent")
+        rows = [self._positions(state, joints) for state in self.states[known:]]
+        return {joint: fmean(row[joint] for row in rows) for joint in joints}
 
-    def _act(self, client: ActionClient, goal: Any, name: str, timeout: float) -> tuple[int, Any]:
-        """Send a goal and wait for its end: terminal state and result."""
+    @staticmethod
+    def _positions(state: JointState, joints: list[str]) -> Posture:
+        positions = dict(zip(state.name, state.position, strict=True))
+        return {joint: positions[joint] for joint in joints}
+
+    def _act(self, client: ActionClient, goal: Any, name: str, timeout: float) -> Any:
+        """Send a goal and wait for its end: terminal status and result. One that is given up is canceled."""
         sent = client.send_goal_async(goal)
-        self.wait(sent.done, DISCOVERY, f"{name}: no answer to the goal within {DISCOVERY:g} s")
+        self.wait(sent.done, PATIENCE, f"{name}: no answer to the goal within {PATIENCE:g} s")
         handle = sent.result()
         if not handle.accepted:
             raise ClientError(f"{name}: goal rejected")
@@ -337,24 +337,7 @@ class Robot:
             canceled = handle.cancel_goal_async()
             self.wait(canceled.done, CANCEL, f"{name}: gave up, and no answer to its cancellation")
             raise
-        answer = ended.result()
-        return answer.status, answer.result
-
-    def streams(self) -> dict[str, float | None]:
-        """How well the robot's streams arrived here, since the start."""
-        span, robot_span = self._states_last - self._states_first, self._stamp - self._stamp_first
-        robot_time = wall_time = 0.0
-        if self._clock_first is not None:
-            robot_time = self._clock_last[0] - self._clock_first[0]
-            wall_time = self._clock_last[1] - self._clock_first[1]
-        ages = sorted(self._ages)
-        return {
-            "joint_states_rate": (self._states - 1) / span if span else None,  # by the wall's clock [Hz]
-            "joint_states_rate_robot": (self._states - 1) / robot_span if robot_span else None,  # by the robot's [Hz]
-            "joint_states_age_median": 1e3 * ages[len(ages) // 2] if ages else None,  # when /clock comes [ms]
-            "joint_states_age_p99": 1e3 * ages[int(0.99 * len(ages))] if ages else None,  # [ms]
-            "real_time_factor": robot_time / wall_time if wall_time else None,
-        }
+        return ended.result()
 
     def close(self) -> None:
         """Leave ROS."""
@@ -363,12 +346,7 @@ class Robot:
         rclpy.try_shutdown()
 
 
-def seconds(stamp: Time) -> float:
-    """A stamp in seconds."""
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
-
-
-def velocities(points: list[tuple[float, dict[str, float]]]) -> list[dict[str, float]]:
+def velocities(points: list[Point]) -> list[dict[str, float]]:
     """Joint velocities at the points of a trajectory [rad/s]: none at its ends and where a joint turns back."""
     still = dict.fromkeys(points[0][1], 0.0)
     between = []
@@ -379,94 +357,25 @@ def velocities(points: list[tuple[float, dict[str, float]]]) -> list[dict[str, f
     return [still, *between, still]
 
 
-def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
-    """The whole motion, a line a step."""
-    robot.connect()
-    say(f"connected; control mode {robot.mode}")
-    changes: list[ModeChange] = []
-    motions: list[Motion] = []
-
-    def change(mode: str) -> None:
-        changes.append(robot.change_mode(mode))
-        say(f"control mode {mode} after {1e3 * changes[-1].latency:.0f} ms")
-
-    def follow(name: str, controller: str, *points: tuple[float, dict[str, float]]) -> None:
-        motions.append(robot.follow(name, controller, list(points)))
-        motion = motions[-1]
-        say(
-            f"{name}: done in {motion.seconds:.1f} s, largest error {motion.max_error:.4f} rad ({motion.worst_joint}), "
-            f"pelvis moved {motion.pelvis_displacement:.2f} cm"
-        )
-
-    arm, neck = (robot.joints_of(controller) for controller in (ARM, NECK))
-    if absent := [end for end in REACH if not any(joint.endswith(end) for joint in arm)]:
-        raise ClientError(f"{ARM} moves {', '.join(arm)}: to reach, it needs {' and '.join(absent)}")
-    if robot.mode != "stand":
-        change("stand")
-    home = robot.settled(arm)
-    change("stand_manipulate")
-    forward, aside = (robot.posture(arm, named) for named in (FORWARD, ASIDE))
-    look_aside, look_ahead = (robot.posture(neck, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
-    follow("right arm forward, then aside", ARM, (2.5, forward), (4.5, aside))
-    follow("neck looks at the hand", NECK, (1.5, look_aside))
-    follow("right arm home", ARM, (2.0, forward), (4.5, home))
-    follow("neck ahead", NECK, (1.5, look_ahead))
-    change("stand")
-    return changes, motions
-
-
-def say(line: str) -> None:
-    """A line of progress; at once, in a pipe too."""
-    print(line, flush=True)
-
-
-def table(motions: list[Motion], streams: dict[str, float | None]) -> str:
-    """What was measured."""
-
-    def number(key: str, digits: int, unit: str) -> str:
-        value = streams[key]
-        return "not heard" if value is None else f"{value:.{digits}f} {unit}".rstrip()
-
-    lines = ["", f"{'motion':<32}{'error [rad]':>12}{'pelvis [cm]':>13}"]
-    lines += [f"{m.name:<32}{m.max_error:>12.4f}{m.pelvis_displacement:>13.2f}" for m in motions]
-    median, p99 = number("joint_states_age_median", 1, "ms"), number("joint_states_age_p99", 1, "ms")
-    wall_rate, robot_rate = number("joint_states_rate", 1, "Hz"), number("joint_states_rate_robot", 1, "Hz")
-    lines += [
-        "",
-        f"joint_states      {wall_rate}, by robot time {robot_rate}",
-        f"  behind /clock   median {median}, p99 {p99}",
-        f"real-time factor  {number('real_time_factor', 3, '')}",
-    ]
-    return "\n".join(lines)
-
-
-def measure(json_file: Path | None) -> None:
-    """Perform and report.
+def report(changes: list[ModeChange], motions: list[Motion], streams: Streams, json_file: Path | None) -> None:
+    """Show what was measured, and write it where that is wanted.
 
     Raises:
-        ClientError: something did not work, or a joint ended too far from its goal.
-        OSError: the report could not be written.
+        ClientError: a joint ended too far from its goal.
+        OSError: it could not be written.
     """
-    robot = Robot()
-    try:
-        changes, motions = perform(robot)
-        streams = robot.streams()
-    finally:
-        robot.close()
-    say(table(motions, streams))
+    measured = streams.measured()
+    say(f"\n{'motion':<32}{'error [rad]':>12}{'pelvis [cm]':>13}")
+    for each in motions:
+        say(f"{each.name:<32}{each.max_error:>12.4f}{each.pelvis_displacement:>13.2f}")
+    say("\n".join(["", *lines(measured)]))
     if json_file:
-        report = {
-            "mode_changes": [asdict(change) for change in changes],
-            "motions": [asdict(motion) for motion in motions],
-            "streams": streams,
-        }
-        json_file.write_text(json.dumps(report, indent=2) + "\n")
-    for motion in motions:
-        if not motion.max_error <= TOLERANCE:
-            error, joint = motion.max_error, motion.worst_joint
-            raise ClientError(
-                f"{motion.name}: {joint} ended {error:.4f} rad off its goal; within {TOLERANCE:g} expected"
-            )
+        content = {"mode_changes": [*map(asdict, changes)], "motions": [*map(asdict, motions)], "streams": measured}
+        json_file.write_text(json.dumps(content, indent=2) + "\n")
+    for each in motions:
+        if not each.max_error <= TOLERANCE:
+            off = f"{each.worst_joint} ended {each.max_error:.4f} rad off its goal"
+            raise ClientError(f"{each.name}: {off}; within {TOLERANCE:g} expected")
 
 
 def main() -> int:
@@ -476,7 +385,8 @@ def main() -> int:
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        measure(arguments.json)
+        with closing(Robot()) as robot:
+            report(*perform(robot), robot.streams, arguments.json)
     except (ClientError, OSError) as error:
         print(f"stand_and_reach: {error}", file=sys.stderr)
         return 1
