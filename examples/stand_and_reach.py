@@ -41,10 +41,9 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from streams import Streams, lines, seconds  # beside this file
+from streams import Streams, lines  # beside this file
 from trajectory_msgs.msg import JointTrajectoryPoint
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
@@ -150,7 +149,7 @@ def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
 
 
 class Robot:
-    """The robot as this client hears it: its newest mode, and all states since the start."""
+    """The robot as this client hears it: its newest mode, and where it has been since the start."""
 
     def __init__(self) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # an interrupted motion is canceled first
@@ -159,16 +158,12 @@ class Robot:
         self._executor.add_node(self.node)
         self.mode: str | None = None
         self.limits: dict[str, Limits] = {}  # by joint
-        self.states: list[JointState] = []
         self.pelvis: list[tuple[float, float]] = []  # in odom [m]
-        self.clock: float | None = None  # robot time [s]
-        self.streams = Streams(self.node)
+        self.streams = Streams(self.node)  # /joint_states and /clock
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(ControlModeStatus, MODE_TOPIC, self._hear_mode, latched)
         self.node.create_subscription(String, "/robot_description", self._hear_description, latched)
-        self.node.create_subscription(JointState, "/joint_states", self.states.append, qos_profile_sensor_data)
         self.node.create_subscription(Odometry, "/odom", self._hear_odometry, qos_profile_sensor_data)
-        self.node.create_subscription(Clock, "/clock", self._hear_clock, qos_profile_sensor_data)
         self.modes = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
         self.controllers = self.node.create_client(ListControllers, CONTROLLERS)
         self.actions = {
@@ -188,9 +183,6 @@ class Robot:
         position = odometry.pose.pose.position
         self.pelvis.append((position.x, position.y))
 
-    def _hear_clock(self, clock: Clock) -> None:
-        self.clock = seconds(clock.clock)
-
     def wait(self, condition: Callable[[], Any], timeout: float, otherwise: str) -> None:
         """Let messages in until the condition holds.
 
@@ -205,13 +197,13 @@ class Robot:
 
     def wait_robot_time(self, duration: float) -> None:
         """Let messages in for a stretch of robot time [s]; of wall time where nobody publishes /clock."""
-        began = self.clock
+        began = self.streams.clock
         if began is None:
             end = time.monotonic() + duration
             self.wait(lambda: time.monotonic() >= end, duration + 1.0, "")
         else:
             stopped = f"/clock stopped at {began:.2f} s"
-            self.wait(lambda: (self.clock or began) - began >= duration, duration / SLOWEST + 5.0, stopped)
+            self.wait(lambda: (self.streams.clock or began) - began >= duration, duration / SLOWEST + 5.0, stopped)
 
     def connect(self) -> None:
         """Wait for every topic and action that is needed.
@@ -221,7 +213,7 @@ class Robot:
         """
         needs: dict[str, Callable[[], Any]] = {
             f"topic {MODE_TOPIC}": lambda: self.mode is not None,
-            "topic /joint_states": lambda: self.states,
+            "topic /joint_states": lambda: self.streams.states,
             "topic /odom": lambda: self.pelvis,
             "topic /robot_description": lambda: self.limits,
             f"service {CONTROLLERS}": self.controllers.service_is_ready,
@@ -277,7 +269,7 @@ class Robot:
     def follow(self, name: str, controller: str, points: list[Point]) -> Motion:
         """Move a controller's joints along a trajectory and measure where they end."""
         joints, asked = list(points[0][1]), points[-1][1]
-        points = self._in_time([(0.0, self._positions(self.states[-1], joints)), *points])
+        points = self._in_time([(0.0, self._positions(self.streams.states[-1], joints)), *points])
         goal = FollowJointTrajectory.Goal()
         goal.trajectory.joint_names = joints
         for (when, positions), speed in list(zip(points, velocities(points), strict=True))[1:]:
@@ -312,10 +304,10 @@ class Robot:
     def settled(self, joints: list[str]) -> Posture:
         """Mean joint positions, once the joints have come to rest."""
         self.wait_robot_time(SETTLE)
-        known = len(self.states)
+        known = len(self.streams.states)
         self.wait_robot_time(AVERAGE)
-        self.wait(lambda: len(self.states) > known, PATIENCE, "/joint_states went silent")
-        rows = [self._positions(state, joints) for state in self.states[known:]]
+        self.wait(lambda: len(self.streams.states) > known, PATIENCE, "/joint_states went silent")
+        rows = [self._positions(state, joints) for state in self.streams.states[known:]]
         return {joint: fmean(row[joint] for row in rows) for joint in joints}
 
     @staticmethod

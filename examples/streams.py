@@ -7,19 +7,25 @@ python streams.py [SECONDS]
 from __future__ import annotations
 
 import time
-from typing import Any
 
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 
 class Streams:
-    """What a node has heard of both since it began to listen; times in seconds."""
+    """What a node has heard of both since it began to listen; times in seconds.
+
+    Attributes:
+        states: joint states, all of them.
+        clock: robot time as told last; None: not yet.
+    """
 
     def __init__(self, node: Node) -> None:
+        self.states: list[JointState] = []
+        self.clock: float | None = None
         self._states: list[tuple[float, float]] = []  # when each came, by the wall, and its stamp
         self._clocks: list[tuple[float, float]] = []  # likewise
         self._ages: list[float] = []  # of the newest state whenever /clock came
@@ -27,12 +33,14 @@ class Streams:
         node.create_subscription(Clock, "/clock", self._hear_clock, qos_profile_sensor_data)
 
     def _hear_state(self, state: JointState) -> None:
+        self.states.append(state)
         self._states.append((time.monotonic(), seconds(state.header.stamp)))
 
     def _hear_clock(self, clock: Clock) -> None:
-        self._clocks.append((time.monotonic(), seconds(clock.clock)))
+        self.clock = seconds(clock.clock)
+        self._clocks.append((time.monotonic(), self.clock))
         if self._states:
-            self._ages.append(self._clocks[-1][1] - self._states[-1][1])
+            self._ages.append(self.clock - self._states[-1][1])
 
     def measured(self) -> dict[str, float | None]:
         """Rates [Hz], ages [ms], robot time to the wall's; None: not heard."""
@@ -48,9 +56,9 @@ class Streams:
         }
 
 
-def seconds(stamp: Any) -> float:
+def seconds(stamp: Time) -> float:
     """A stamp in seconds."""
-    return float(1e-9 * Time.from_msg(stamp).nanoseconds)
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def spans(times: list[tuple[float, float]]) -> tuple[float, float]:

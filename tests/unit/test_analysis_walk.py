@@ -16,7 +16,7 @@ from harness.analysis_bag import write_messages
 from tests.unit.test_walk_report import COUNT, LATE, ROBOT, SPEED, walk
 from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording
-from valor.analysis.walk import MOVING, SHORTEST_PRINT, Figures, Timeliness, Track, _stands, footprints
+from valor.analysis.walk import MOVING, SHORTEST_PRINT, Figures, Timeliness, Track, footprints, runs
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import WALKING
@@ -119,8 +119,8 @@ def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> 
 
 
 @given(st.lists(st.booleans(), max_size=30))
-def test_stands_are_the_runs_of_contact(touching: list[bool]) -> None:
-    runs = _stands(np.array(touching, dtype=bool))
+def testruns_are_the_runs_of_contact(touching: list[bool]) -> None:
+    runs = runs(np.array(touching, dtype=bool))
     covered = [i for first, last in runs for i in range(first, last + 1)]
     assert covered == [i for i, each in enumerate(touching) if each]
     assert all(before[1] + 1 < after[0] for before, after in pairwise(runs))

@@ -158,5 +158,4 @@ def _name(axes: Axes, at: FloatArray, track: HandTrack, columns: int = 3, top: f
     bands(axes, at, track.behavior)
     for motion in track.motions:
         axes.axvline(motion.start - track.time[0], color=style.LIGHT, linewidth=0.9, zorder=0.6)
-    handles = axes.get_legend_handles_labels()[0]
-    style.legend(axes, handles, loc="upper right", bbox_to_anchor=(1.0, top), ncols=columns)
+    style.legend_above(axes, columns, top)

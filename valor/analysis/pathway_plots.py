@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from matplotlib.lines import Line2D
 
 from valor.analysis import style
 from valor.analysis.bands import bands, color, keys, make_room
@@ -56,10 +55,10 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     for at, behavior in under:
         axes.bar(at, 0.05 * (top - bottom), width, bottom=foot, color=color(behavior), zorder=0.5)
     axes.axhline(0.0, color=style.GREY, linewidth=0.8)
-    handles = [Line2D([], [], color=color, linewidth=6.0, label=name) for name, color in _COLORS.items()]
+    handles = [style.sample(name, color, 6.0) for name, color in _COLORS.items()]
     if len(found) > 1:
         shades = zip(found, (0.45, 1.0), strict=True)
-        handles += [Line2D([], [], color=style.GREY, alpha=a, linewidth=6.0, label=name) for name, a in shades]
+        handles += [style.sample(name, style.GREY, 6.0, alpha=a) for name, a in shades]
     style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 0.97), ncols=len(handles))
     named = keys(behavior for _, behavior in under)
     style.legend(figure, named, loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=len(named))
@@ -115,7 +114,7 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     axes.grid(False, axis="y")
     axes.set_xlim(1.1 * lowest, 1.3 * highest)
     axes.axvline(0.0, color=style.GREY, linewidth=0.8)
-    handles = [Line2D([], [], color=shade, linewidth=6.0, label=name) for name, shade in used.items()]
+    handles = [style.sample(name, shade, 6.0) for name, shade in used.items()]
     style.legend(figure, handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=4)
     style.legend(figure, keys(under), loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=1)
     style.heading(figure, "From end to end", "the segments of each pathway; lines: one standard deviation of the sum")
@@ -156,10 +155,7 @@ def over_time(found: Mapping[str, Latencies], file: Path) -> Path:
             axes.set_ylim(bottom, max(top, 1.0))
             make_room(axes)
             bands(axes, latencies.time - start, latencies.behavior, label=False)
-    handles = [
-        Line2D([], [], color=style.SERIES[names.index(name)], marker=".", linewidth=0.0, label=name)
-        for name in dict.fromkeys(shown)
-    ]
+    handles = [style.sample(name, style.SERIES[names.index(name)], 0.0, marker=".") for name in dict.fromkeys(shown)]
     style.legend(figure, handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=4)
     seen = keys(name for latencies in found.values() for name in dict.fromkeys(latencies.behavior))
     style.legend(figure, seen, loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=1)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from valor.analysis import style
 from valor.analysis.bag import Bag
@@ -114,9 +113,9 @@ def _track_group(recording: Recording, group: str, out: Path) -> Path:
     style.legend(
         figure,
         [
-            Line2D([], [], color=style.REFERENCE, linestyle=(0, (4, 2)), linewidth=1.1, label="set-point (ROS side)"),
-            Line2D([], [], color=style.COMMAND, linewidth=1.3, label="motor command"),
-            Line2D([], [], color=style.MEASURED, linewidth=2.2, label="measured"),
+            style.sample("set-point (ROS side)", style.REFERENCE, 1.1, linestyle=(0, (4, 2))),
+            style.sample("motor command", style.COMMAND, 1.3),
+            style.sample("measured", style.MEASURED, 2.2),
         ],
         loc="upper right",
         bbox_to_anchor=(0.99, 1.0 - 0.12 / height),
@@ -170,7 +169,7 @@ def balance(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
         near = (truth.time >= first) & (truth.time <= last)
         true = truth["pelvis_position_in_world"][near]
         style.curve(above, truth.time[near] - first, _from_start(true), style.MEASURED, 1.4, label="true")
-    style.legend(above, above.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=2)
+    style.legend_above(above, 2, 1.22)
     below = figure.add_subplot(grid[1])
     style.quiet(below, "CoM and DCM from where the CoM was", "robot time from the window's start [s]", "[cm]")
     for axis, name, color in ((0, "x", style.SERIES[0]), (1, "y", style.SERIES[1])):
@@ -178,7 +177,7 @@ def balance(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
             below, at, 100.0 * (dcm[:, axis] - com[0, axis]), color, 0.8, linestyle=(0, (1, 1)), label=f"DCM {name}"
         )
         style.curve(below, at, 100.0 * (com[:, axis] - com[0, axis]), color, 1.5, label=f"CoM {name}")
-    style.legend(below, below.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.22), ncols=4)
+    style.legend_above(below, 4, 1.22)
     for axes in (above, below):
         axes.set_xlim(0.0, last - first)
         bands_of(axes, recording, first, last)

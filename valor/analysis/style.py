@@ -16,6 +16,8 @@ from valor.common.arrays import FloatArray
 INK, GREY, LIGHT = "#22272e", "#6b7480", "#dde1e6"
 REFERENCE, COMMAND, MEASURED = "#22272e", "#0072b2", "#d55e00"  # Okabe and Ito's colors
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#22272e", "#8c6d46")
+LEFT, RIGHT = SERIES[:2]  # of feet, soles and knees
+DASHES = (0, (2, 2))  # of what was planned or believed
 FONT = "DejaVu Sans"
 POINTS = 4000  # drawn of a curve
 
@@ -64,6 +66,17 @@ def legend(target: Any, handles: list[Any], **where: Any) -> None:
     made = target.legend(handles=handles, frameon=False, fontsize=9, labelcolor=INK, **where)
     for text in made.get_texts():
         text.set_fontproperties(font_manager.FontProperties(family=FONT, size=9))
+
+
+def legend_above(axes: Axes, columns: int, top: float) -> None:
+    """A legend of the curves that have names, above the right end of a plot; ``top`` in the axes' heights."""
+    handles = axes.get_legend_handles_labels()[0]
+    legend(axes, handles, loc="upper right", bbox_to_anchor=(1.0, top), ncols=columns)
+
+
+def sample(label: str, color: str, width: float, **more: Any) -> Line2D:
+    """A line of a legend."""
+    return Line2D([], [], color=color, linewidth=width, label=label, **more)
 
 
 def save(figure: Figure, path: Path, dpi: float = 110) -> Path:

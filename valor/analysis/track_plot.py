@@ -9,8 +9,6 @@ import numpy as np
 from valor.analysis import style
 from valor.analysis.walk import Track
 
-_LEFT, _RIGHT = style.SERIES[0], style.SERIES[1]
-
 
 def draw(track: Track, file: Path, told: str) -> Path:
     """Write the picture.
@@ -41,12 +39,10 @@ def draw(track: Track, file: Path, told: str) -> Path:
     style.curve(error, time, 1e3 * np.linalg.norm(track.dcm_error[:, :2], axis=1), style.INK, 1.0)
     style.quiet(force, "vertical foot force: measured, and planned (dashed)", "", "[N]")
     style.quiet(knee, "knee angle", "robot time [s]", "[rad]")
-    for side, colour in ((0, _LEFT), (1, _RIGHT)):
+    for side, colour in ((0, style.LEFT), (1, style.RIGHT)):
         style.curve(force, time, track.measured_force[:, side], colour, 1.0)
         style.curve(force, time, track.desired_force[:, side], colour, 0.8, linestyle=(0, (3, 2)))
         style.curve(knee, time, track.knee[:, side], colour, 1.0)
-    names = [style.line((0, 0), (0, 0), colour, 1.5) for colour in (_LEFT, _RIGHT)]
-    for handle, name in zip(names, ("left", "right"), strict=True):
-        handle.set_label(name)
+    names = [style.sample("left", style.LEFT, 1.5), style.sample("right", style.RIGHT, 1.5)]
     style.legend(made, names, loc="upper right", ncols=2)
     return style.save(made, file)

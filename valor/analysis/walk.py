@@ -234,7 +234,7 @@ def footprints(recording: Recording) -> list[Footprint]:
     found = []
     for column, foot in enumerate((feet.left, feet.right)):
         site = model.site(foot.sole)
-        for first, last in _stands(contacts[:, column] > 0):
+        for first, last in runs(contacts[:, column] > 0):
             if times[last] - times[first] < SHORTEST_PRINT:
                 continue
             middle = (first + last) // 2
@@ -248,7 +248,7 @@ def footprints(recording: Recording) -> list[Footprint]:
     return sorted(found, key=lambda each: each.time)
 
 
-def _stands(touching: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index of every run of contact."""
-    edges = np.diff(np.concatenate(([0], touching.astype(np.int8), [0])))
+def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every run of true ones."""
+    edges = np.diff(np.concatenate(([0], flags.astype(np.int8), [0])))
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))

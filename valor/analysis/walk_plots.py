@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -10,14 +11,14 @@ import matplotlib.image
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
+from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 
 from valor.analysis import style
 from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording, nearest
 from valor.analysis.scene import Scene
-from valor.analysis.walk import Figures, Footprint, Track, footprints
+from valor.analysis.walk import Figures, Footprint, Track, footprints, runs
 from valor.common.arrays import FloatArray
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE
 from valor.robot.description import RobotDescription
@@ -29,7 +30,13 @@ MARGIN = 1.0  # around the path [m]
 GRID = 0.05  # of the ground's heights [m]
 CLOSE_UP = 6.0  # of the walk, in which single steps are seen [s]
 PICTURE = (1280, 800)  # [pixels]
-_LEFT, _RIGHT = style.SERIES[0], style.SERIES[1]
+_TIME = "robot time from setting off [s]"
+_PATH_LEGEND = [
+    style.sample("pelvis, true", style.INK, 1.3),
+    style.sample("estimated", style.INK, 0.9, linestyle=style.DASHES),
+    style.sample("left sole", style.LEFT, 5.0),
+    style.sample("right sole", style.RIGHT, 5.0),
+]
 
 
 def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
@@ -55,8 +62,7 @@ def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
     rows = max(1, math.ceil((high[0] - low[0]) / STRIP))
     length = (high[0] - low[0]) / rows
-    x, y = np.arange(low[0], high[0], GRID), np.arange(low[1], high[1], GRID)
-    ground = worlds.heights(*recording.world, x, y)
+    ground = _Ground(recording, low, high)
     width = 12.5
     row_height = (width - 1.9) * (high[1] - low[1]) / length + 0.28
     height = 1.25 + rows * row_height + 0.3
@@ -64,21 +70,15 @@ def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     grid = figure.add_gridspec(
         rows, 1, left=0.05, right=0.90, bottom=0.48 / height, top=1.0 - 0.95 / height, hspace=0.28 / row_height
     )
-    soles = (robot.tables.feet.left, robot.tables.feet.right)
-    scale = max(0.02, float(np.abs(ground).max()))
     for row in range(rows):
         axes = figure.add_subplot(grid[row])
         begin = low[0] + row * length
         style.quiet(axes, "", "x [m]" if row == rows - 1 else "", "y [m]")
-        axes.grid(False)
-        shown = axes.imshow(
-            100.0 * ground, extent=(x[0], x[-1], y[0], y[-1]), origin="lower", cmap="BrBG_r", vmin=-100.0 * scale,
-            vmax=100.0 * scale, alpha=0.75, interpolation="bilinear",
-        )  # fmt: skip
+        shown = ground.draw(axes)
         for each in prints:
-            axes.add_patch(_sole(each, soles[0] if each.left else soles[1]))
+            axes.add_patch(_sole(each, robot.tables.feet.left if each.left else robot.tables.feet.right))
         style.curve(axes, true[:, 0], true[:, 1], style.INK, 1.3)
-        style.curve(axes, believed[:, 0], believed[:, 1], style.INK, 0.9, linestyle=(0, (2, 2)))
+        style.curve(axes, believed[:, 0], believed[:, 1], style.INK, 0.9, linestyle=style.DASHES)
         axes.set_xlim(begin, begin + length)
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
@@ -86,26 +86,29 @@ def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     bar.set_label("height of the ground [cm]", fontsize=9, color=style.GREY)
     bar.ax.tick_params(colors=style.GREY, labelsize=8)
     bar.outline.set_visible(False)
-    way = float(np.linalg.norm(true[-1, :2] - true[0, :2]))
-    off = believed[-1, :2] - true[-1, :2]
-    style.heading(
-        figure,
-        f"{robot.name.upper()}: {way:.1f} m over {recording.world[0]}, {len(prints)} footprints",
-        f"at the end the robot believes to be {np.linalg.norm(off):.2f} m from where it is",
-    )
-    style.legend(
-        figure,
-        [
-            Line2D([], [], color=style.INK, linewidth=1.3, label="pelvis, true"),
-            Line2D([], [], color=style.INK, linewidth=0.9, linestyle=(0, (2, 2)), label="estimated"),
-            Line2D([], [], color=_LEFT, linewidth=5, label="left sole"),
-            Line2D([], [], color=_RIGHT, linewidth=5, label="right sole"),
-        ],
-        loc="upper right",
-        bbox_to_anchor=(0.995, 1.0 - 0.1 / height),
-        ncols=4,
-    )
+    way, off = float(np.linalg.norm(true[-1, :2] - true[0, :2])), believed[-1, :2] - true[-1, :2]
+    title = f"{robot.name.upper()}: {way:.1f} m over {recording.world[0]}, {len(prints)} footprints"
+    style.heading(figure, title, f"at the end the robot believes to be {np.linalg.norm(off):.2f} m from where it is")
+    style.legend(figure, _PATH_LEGEND, loc="upper right", bbox_to_anchor=(0.995, 1.0 - 0.1 / height), ncols=4)
     return [style.save(figure, out / "path.png")]
+
+
+class _Ground:
+    """The ground by its height, as one picture that every row shows a strip of."""
+
+    def __init__(self, recording: Recording, low: FloatArray, high: FloatArray) -> None:
+        """From a corner to the opposite one, (2,) in world [m]."""
+        x, y = np.arange(low[0], high[0], GRID), np.arange(low[1], high[1], GRID)
+        self._heights = worlds.heights(*recording.world, x, y)
+        self._extent = (x[0], x[-1], y[0], y[-1])
+        self._scale = 100.0 * max(0.02, float(np.abs(self._heights).max()))  # [cm]
+
+    def draw(self, axes: Axes) -> AxesImage:
+        axes.grid(False)
+        return axes.imshow(
+            100.0 * self._heights, extent=self._extent, origin="lower", cmap="BrBG_r", vmin=-self._scale,
+            vmax=self._scale, alpha=0.75, interpolation="bilinear",
+        )  # fmt: skip
 
 
 def dynamics(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
@@ -130,37 +133,11 @@ def dynamics(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     at = walk.time - first
     figure = style.figure(12.5, 9.6)
     grid = figure.add_gridspec(4, 1, left=0.065, right=0.985, bottom=0.06, top=0.89, hspace=0.5)
-    errors = figure.add_subplot(grid[0])
-    style.quiet(errors, "DCM from its reference, mean and largest of each second", "", "[mm]")
-    seconds = np.arange(max(1, math.ceil(at[-1])))
-    beside = 1e3 * np.linalg.norm(walk.dcm_error[:, :2], axis=1)
-    groups = np.minimum(at.astype(int), seconds[-1])
-    largest, mean = (np.array([f(beside[groups == s]) if (groups == s).any() else np.nan for s in seconds])
-                     for f in (np.max, np.mean))  # fmt: skip
-    errors.fill_between(seconds + 0.5, mean, largest, color=style.COMMAND, alpha=0.25, linewidth=0)
-    style.curve(errors, seconds + 0.5, mean, style.COMMAND, 1.6)
-    forces = figure.add_subplot(grid[1])
-    style.quiet(
-        forces, "largest vertical force under each foot in each second", "robot time from setting off [s]", "[N]"
-    )
-    for foot, color in enumerate((_LEFT, _RIGHT)):
-        peaks = np.array([walk.measured_force[groups == s, foot].max() if (groups == s).any() else np.nan
-                          for s in seconds])  # fmt: skip
-        style.curve(forces, seconds + 0.5, peaks, color, 1.3)
-    for axes in (errors, forces):
-        axes.set_xlim(0.0, at[-1])
-        axes.set_ylim(bottom=0.0)
+    _whole_walk(figure.add_subplot(grid[0]), figure.add_subplot(grid[1]), walk, at)
     begin = max(0.0, 0.5 * (at[-1] - CLOSE_UP))
     near = (at >= begin) & (at <= begin + CLOSE_UP)
     _dcm_close_up(figure.add_subplot(grid[2]), recording, at[near] + first, first)
-    close = figure.add_subplot(grid[3])
-    style.quiet(close, "vertical force under each foot, planned and measured", "robot time from setting off [s]", "[N]")
-    for foot, color, name in ((0, _LEFT, "left"), (1, _RIGHT, "right")):
-        style.curve(close, at[near], walk.measured_force[near, foot], color, 1.6, label=f"{name}, measured")
-        style.curve(close, at[near], walk.desired_force[near, foot], style.INK, 0.8, linestyle=(0, (2, 2)),
-              label="planned" if foot else None)  # fmt: skip
-    close.set_xlim(at[near][0], at[near][-1])
-    style.legend(close, close.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.28), ncols=3)
+    _forces_close_up(figure.add_subplot(grid[3]), walk, at, near)
     x, y, z = (1e3 * each for each in figures.dcm_error)
     style.heading(
         figure,
@@ -169,6 +146,27 @@ def dynamics(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
         f"forces planned against measured {figures.force_error:.0f} N rms",
     )
     return [style.save(figure, out / "dynamics.png")]
+
+
+def _whole_walk(errors: Axes, forces: Axes, walk: Track, at: FloatArray) -> None:
+    """Second by second: the DCM's error above, the largest forces below."""
+    seconds = np.arange(max(1, math.ceil(at[-1])))
+    of_second = [np.minimum(at.astype(int), seconds[-1]) == second for second in seconds]
+
+    def each(function: Callable[[FloatArray], float], values: FloatArray) -> FloatArray:
+        return np.array([function(values[rows]) if rows.any() else np.nan for rows in of_second])
+
+    beside = 1e3 * np.linalg.norm(walk.dcm_error[:, :2], axis=1)
+    mean = each(np.mean, beside)
+    style.quiet(errors, "DCM from its reference, mean and largest of each second", "", "[mm]")
+    errors.fill_between(seconds + 0.5, mean, each(np.max, beside), color=style.COMMAND, alpha=0.25, linewidth=0)
+    style.curve(errors, seconds + 0.5, mean, style.COMMAND, 1.6)
+    style.quiet(forces, "largest vertical force under each foot in each second", _TIME, "[N]")
+    for foot, color in enumerate((style.LEFT, style.RIGHT)):
+        style.curve(forces, seconds + 0.5, each(np.max, walk.measured_force[:, foot]), color, 1.3)
+    for axes in (errors, forces):
+        axes.set_xlim(0.0, at[-1])
+        axes.set_ylim(bottom=0.0)
 
 
 def picture(bag: Bag | Path, robot: RobotDescription, out: Path, time: float | None = None) -> list[Path]:
@@ -207,13 +205,8 @@ def picture(bag: Bag | Path, robot: RobotDescription, out: Path, time: float | N
 def _in_mid_step(track: Track, near: float) -> float:
     """The time closest to one at which a single foot carries the robot and has done so for a while [s]."""
     light = track.measured_force.min(axis=1) < 20.0
-    middle = [0.5 * (track.time[a] + track.time[b]) for a, b in _runs(light) if b - a > 50]
+    middle = [0.5 * (track.time[a] + track.time[b]) for a, b in runs(light) if b - a > 50]
     return float(min(middle, key=lambda time: abs(time - near), default=near))
-
-
-def _runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _dcm_close_up(axes: Axes, recording: Recording, times: FloatArray, first: float) -> None:
@@ -222,11 +215,21 @@ def _dcm_close_up(axes: Axes, recording: Recording, times: FloatArray, first: fl
     style.quiet(axes, "DCM, its reference and the CoM, across the way", "", "y [cm]")
     at = states.time[rows] - first
     lines = (("dcm_in_odom", style.MEASURED, 1.6, "-", "DCM"), ("com_in_odom", style.COMMAND, 1.6, "-", "CoM"),
-             ("dcm_reference_in_odom", style.INK, 0.8, (0, (2, 2)), "DCM's reference"))  # fmt: skip
+             ("dcm_reference_in_odom", style.INK, 0.8, style.DASHES, "DCM's reference"))  # fmt: skip
     for field, color, width, dashes, name in lines:
         style.curve(axes, at, 100.0 * states[field][rows, 1], color, width, linestyle=dashes, label=name)
     axes.set_xlim(at[0], at[-1])
-    style.legend(axes, axes.get_legend_handles_labels()[0], loc="upper right", bbox_to_anchor=(1.0, 1.28), ncols=3)
+    style.legend_above(axes, 3, 1.28)
+
+
+def _forces_close_up(axes: Axes, walk: Track, at: FloatArray, near: npt.NDArray[np.bool_]) -> None:
+    style.quiet(axes, "vertical force under each foot, planned and measured", _TIME, "[N]")
+    for foot, color, name in ((0, style.LEFT, "left"), (1, style.RIGHT, "right")):
+        style.curve(axes, at[near], walk.measured_force[near, foot], color, 1.6, label=f"{name}, measured")
+        style.curve(axes, at[near], walk.desired_force[near, foot], style.INK, 0.8, linestyle=style.DASHES,
+                    label="planned" if foot else None)  # fmt: skip
+    axes.set_xlim(at[near][0], at[near][-1])
+    style.legend_above(axes, 3, 1.28)
 
 
 def _sole(footprint: Footprint, foot: Foot) -> Polygon:
@@ -234,5 +237,5 @@ def _sole(footprint: Footprint, foot: Foot) -> Polygon:
                         (foot.heel, foot.half_width)])  # fmt: skip
     cos, sin = math.cos(footprint.heading), math.sin(footprint.heading)
     turned = corners @ np.array([[cos, sin], [-sin, cos]]) + footprint.position[:2]
-    color = _LEFT if footprint.left else _RIGHT
+    color = style.LEFT if footprint.left else style.RIGHT
     return Polygon(turned, closed=True, facecolor=color, alpha=0.55, edgecolor="white", linewidth=0.3)
