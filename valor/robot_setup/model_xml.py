@@ -1,0 +1,247 @@
+"""``model.xml``: the model anew with the pelvis as its root, its shapes as capsules and soles; what one sees is kept.
+
+Angles keep their meaning: a joint that the pelvis' becoming the root turns around has its axis turned, too.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.sax.saxutils import escape
+
+import mujoco
+import numpy as np
+
+from valor.common.arrays import FloatArray
+from valor.robot_setup.geometry import Capsule, Sole, capsule, cloud, touching_geoms
+from valor.robot_setup.skeleton import Edge, Skeleton
+
+_HEAD = """\
+<!-- {about} -->
+<mujoco model="{name}">
+  <compiler angle="radian" autolimits="true" inertiafromgeom="false" meshdir="meshes"/>
+  <option timestep="{step:g}" integrator="implicitfast"/>
+
+  <default>
+    <default class="visual">
+      <geom group="2" contype="0" conaffinity="0"/>
+    </default>
+    <!-- Bit 0: the world. Bit 1: touches the world only. Bit 2: touches the world and the robot itself. -->
+    <default class="body">
+      <geom type="capsule" group="3" contype="4" conaffinity="5" condim="3" friction="0.6"/>
+    </default>
+    <default class="finger">
+      <geom type="capsule" group="3" contype="2" conaffinity="1" condim="3" friction="0.9"/>
+    </default>
+    <default class="sole">
+      <geom type="sphere" size="{ball:.4g}" group="3" contype="2" conaffinity="1" condim="3"
+            friction="0.9" solref="0.005 1" solimp="0.95 0.99 0.001"/>
+    </default>
+    <site group="4" size="0.01"/>
+  </default>
+"""
+
+
+@dataclass
+class Parts:
+    """What is drawn on the skeleton.
+
+    Attributes:
+        soles: by side, in the world as drawn.
+        palms: (3,) by side, where hand goals refer to, in the world as drawn [m].
+        capsules: by body, in the body's own frame.
+        excluded: pairs of bodies' names that overlap at rest and are not kept apart.
+        step: of the physics [s].
+    """
+
+    soles: dict[str, Sole]
+    palms: dict[str, FloatArray]
+    capsules: dict[int, Capsule]
+    excluded: list[tuple[str, str]] = field(default_factory=list)
+    step: float = 0.001
+
+    @property
+    def ball(self) -> float:
+        """Radius of a sole's corners [m]."""
+        return 0.13 * min(sole.half_width for sole in self.soles.values())
+
+
+def link(robot: Skeleton, body: int) -> list[int]:
+    """The bodies that no driven joint parts from one."""
+    found, waiting = {body}, [body]
+    while waiting:
+        for edge in robot.edges[waiting.pop()]:
+            if not edge.joints and edge.to not in found:
+                found.add(edge.to)
+                waiting.append(edge.to)
+    return sorted(found)
+
+
+def fit(robot: Skeleton, soles: dict[str, Sole], palms: dict[str, FloatArray]) -> Parts:
+    """Capsules for all that has a shape."""
+    source, mj = robot.source, robot.source.mj
+    feet = {robot.legs[side].end: side for side in robot.legs}
+    capsules: dict[int, Capsule] = {}
+    seen: set[int] = set()
+    for body in sorted(robot.edges):
+        if body in seen:
+            continue
+        bodies = link(robot, body)
+        seen |= set(bodies)
+        main = max(bodies, key=lambda each: float(mj.body_mass[each]))
+        if foot := next((each for each in bodies if each in feet), None):
+            capsules[foot] = _foot_capsule(robot, foot, soles[feet[foot]])
+        elif len(points := cloud(source, bodies)) > 3:
+            capsules[main] = capsule((points - source.data.xpos[main]) @ source.rotation(main))
+    return Parts(soles, palms, capsules)
+
+
+def _foot_capsule(robot: Skeleton, foot: int, sole: Sole) -> Capsule:
+    """Along the foot, a little above its sole, which alone shall touch the ground."""
+    source = robot.source
+    radius = min(sole.half_width, (sole.toe - sole.heel) / 4) * 0.7
+    ends = [
+        sole.origin + sole.rotation @ np.array([x, 0.0, 1.3 * radius]) for x in (sole.heel + radius, sole.toe - radius)
+    ]
+    start, end = ((each - source.data.xpos[foot]) @ source.rotation(foot) for each in ends)
+    return Capsule(start, end, radius)
+
+
+def write(robot: Skeleton, parts: Parts, name: str, folder: Path) -> None:
+    """Write ``model.xml`` and the meshes that it shows into a folder."""
+    writer = _Writer(robot, parts, folder)
+    body = "\n".join(writer.body(robot.pelvis, None, None, 2))
+    about = (
+        f"{name}, out of {robot.source.file.name}: what each part weighs and where joints turn is the maker's; "
+        "the shapes that touch are fitted. Limits, armature, damping and gains stand in robot.yaml. Units: m, kg, rad."
+    )
+    head = _HEAD.format(about=escape(about).replace("--", "-"), name=escape(name), step=parts.step, ball=parts.ball)
+    assets = "".join(f'    <mesh name="{mesh}" file="{mesh}.stl"/>\n' for mesh in sorted(writer.meshes))
+    contact = "".join(f'    <exclude body1="{a}" body2="{b}"/>\n' for a, b in parts.excluded)
+    text = f"{head}\n  <asset>\n{assets}  </asset>\n\n  <worldbody>\n{body}\n  </worldbody>\n"
+    text += f"\n  <!-- Fitted shapes that overlap at rest. -->\n  <contact>\n{contact}  </contact>\n" if contact else ""
+    text += "</mujoco>\n"
+    ElementTree.fromstring(text)
+    (folder / "model.xml").write_text(text)
+
+
+class _Writer:
+    def __init__(self, robot: Skeleton, parts: Parts, folder: Path) -> None:
+        self.robot, self.parts, self.folder = robot, parts, folder
+        self.source, self.mj, self.data = robot.source, robot.source.mj, robot.source.data
+        self.meshes: set[str] = set()
+        self.feet = {leg.end: side for side, leg in robot.legs.items()}
+        self.hands = {arm.end: side for side, arm in robot.arms.items()}
+        self.fingers = {int(self.mj.jnt_bodyid[j]) for arm in robot.arms.values() for j in arm.beyond}
+
+    def frame(self, body: int) -> tuple[FloatArray, FloatArray]:
+        """(3,) and (3, 3): the pelvis looks forward, whatever its own axes; the others keep theirs."""
+        rotation = self.robot.forward if body == self.robot.pelvis else self.source.rotation(body)
+        return self.data.xpos[body], rotation
+
+    def body(self, body: int, before: int | None, edge: Edge | None, depth: int) -> Iterator[str]:
+        """The lines of a body and all that hangs from it."""
+        mj, pad = self.mj, "  " * depth
+        here, rotation = self.frame(body)
+        placed = ""
+        if before is not None:
+            there, parent = self.frame(before)
+            placed = _pose(parent.T @ (here - there), parent.T @ rotation)
+        yield f'{pad}<body name="{escape(self.robot.name(body))}"{placed}>'
+        inside = pad + "  "
+        turned = np.zeros(4)
+        mujoco.mju_mat2Quat(turned, (rotation.T @ self.source.rotation(body)).flatten())
+        centre, own = np.zeros(3), np.zeros(4)
+        mujoco.mju_rotVecQuat(centre, mj.body_ipos[body], turned)
+        mujoco.mju_mulQuat(own, turned, mj.body_iquat[body])
+        if mj.body_mass[body] > 0:
+            numbers = _numbers(np.maximum(mj.body_inertia[body], 1e-9))
+            place = f'pos="{_numbers(centre)}"' + ("" if abs(own[0]) > 1 - 1e-9 else f' quat="{_numbers(own)}"')
+            yield f'{inside}<inertial mass="{mj.body_mass[body]:.6g}" {place} diaginertia="{numbers}"/>'
+        if before is None:
+            yield f'{inside}<freejoint name="floating_base"/>'
+        for joint in edge.joints if edge else ():
+            anchor = rotation.T @ (self.data.xanchor[joint] - here)
+            axis = rotation.T @ self.data.xaxis[joint] * (-1 if edge and edge.reversed else 1)
+            at = "" if np.linalg.norm(anchor) < 1e-6 else f' pos="{_numbers(anchor)}"'
+            yield f'{inside}<joint name="{escape(self.robot.joint_name(joint))}"{at} axis="{_numbers(axis)}"/>'
+        yield from (inside + line for line in self.shapes(body, here, rotation))
+        for onward in self.robot.edges[body]:
+            if onward.to != before:
+                yield from self.body(onward.to, body, onward, depth + 1)
+        yield f"{pad}</body>"
+
+    def shapes(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
+        """Sites and geoms of a body."""
+        if body == self.robot.pelvis:
+            yield '<site name="imu"/>'
+        if side := self.feet.get(body):
+            sole = self.parts.soles[side]
+            local = rotation.T @ (sole.origin - here)
+            yield f'<site name="{side[0]}_sole"{_pose(local, rotation.T @ sole.rotation)}/>'
+            for x in (sole.heel, sole.toe):
+                for y in (-sole.half_width, sole.half_width):
+                    corner = sole.origin + sole.rotation @ np.array([x, y, self.parts.ball]) - here
+                    yield f'<geom class="sole" pos="{_numbers(rotation.T @ corner)}"/>'
+        if side := self.hands.get(body):
+            palm = _pose(rotation.T @ (self.parts.palms[side] - here), rotation.T @ self.robot.forward)
+            yield f'<site name="{side[0]}_gripper"{palm}/>'
+        if shape := self.parts.capsules.get(body):
+            own = rotation.T @ self.source.rotation(body)
+            kind = "finger" if body in self.fingers else "body"
+            ends = _numbers([*own @ shape.start, *own @ shape.end])
+            yield f'<geom class="{kind}" size="{shape.radius:.4g}" fromto="{ends}"/>'
+        yield from self.seen(body, here, rotation)
+
+    def seen(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
+        """What one sees of a body: what does not collide, else what does."""
+        mj = self.mj
+        mine = range(mj.body_geomadr[body], mj.body_geomadr[body] + mj.body_geomnum[body])
+        bare = [g for g in mine if not (mj.geom_contype[g] or mj.geom_conaffinity[g]) and mj.geom_rgba[g][3] > 0]
+        for geom in bare or mine:
+            pose = _pose(
+                rotation.T @ (self.data.geom_xpos[geom] - here), rotation.T @ self.data.geom_xmat[geom].reshape(3, 3)
+            )
+            material = mj.geom_matid[geom]
+            colour = mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[geom]
+            look = f'class="visual" rgba="{_numbers(colour[:3])} 1"{pose}'
+            if mj.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+                yield f'<geom {look} type="mesh" mesh="{self.mesh(int(mj.geom_dataid[geom]))}"/>'
+            else:
+                kind = mujoco.mjtGeom(int(mj.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+                yield f'<geom {look} type="{kind}" size="{_numbers(mj.geom_size[geom])}"/>'
+
+    def mesh(self, mesh: int) -> str:
+        """Write a mesh, as it was compiled, and give it a name."""
+        mj = self.mj
+        name = re.sub(r"\W+", "_", mj.mesh(mesh).name or f"mesh_{mesh}")
+        if name not in self.meshes:
+            self.meshes.add(name)
+            vertices = mj.mesh_vert[mj.mesh_vertadr[mesh] : mj.mesh_vertadr[mesh] + mj.mesh_vertnum[mesh]]
+            faces = mj.mesh_face[mj.mesh_faceadr[mesh] : mj.mesh_faceadr[mesh] + mj.mesh_facenum[mesh]]
+            triangles = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+            triangles["corners"] = vertices[faces]
+            folder = self.folder / "meshes"
+            folder.mkdir(exist_ok=True)
+            with (folder / f"{name}.stl").open("wb") as file:
+                file.write(b"\0" * 80 + np.uint32(len(faces)).tobytes() + triangles.tobytes())
+        return name
+
+
+def has_shape(robot: Skeleton, body: int) -> bool:
+    """Whether something of a body's link can touch."""
+    return bool(touching_geoms(robot.source, link(robot, body)))
+
+
+def _pose(position: FloatArray, rotation: FloatArray) -> str:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).flatten())
+    place = "" if np.linalg.norm(position) < 1e-9 else f' pos="{_numbers(position)}"'
+    return place + ("" if abs(quaternion[0]) > 1 - 1e-9 else f' quat="{_numbers(quaternion)}"')
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{0.0 if abs(value) < 5e-8 else value:.7g}" for value in values)
