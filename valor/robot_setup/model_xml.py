@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import mujoco
@@ -112,6 +111,11 @@ def _foot_capsule(robot: Skeleton, foot: int, sole: Sole) -> Capsule:
 
 def write(robot: Skeleton, parts: Parts, name: str, folder: Path) -> None:
     """Write ``model.xml`` and the meshes that it shows into a folder."""
+    (folder / "model.xml").write_text(text(robot, parts, name, folder))
+
+
+def text(robot: Skeleton, parts: Parts, name: str, folder: Path | None = None) -> str:
+    """``model.xml``; with a folder for its meshes also what one sees, without one only what touches."""
     writer = _Writer(robot, parts, folder)
     body = "\n".join(writer.body(robot.pelvis, None, None, 2))
     about = (
@@ -121,15 +125,13 @@ def write(robot: Skeleton, parts: Parts, name: str, folder: Path) -> None:
     head = _HEAD.format(about=escape(about).replace("--", "-"), name=escape(name), step=parts.step, ball=parts.ball)
     assets = "".join(f'    <mesh name="{mesh}" file="{mesh}.stl"/>\n' for mesh in sorted(writer.meshes))
     contact = "".join(f'    <exclude body1="{a}" body2="{b}"/>\n' for a, b in parts.excluded)
-    text = f"{head}\n  <asset>\n{assets}  </asset>\n\n  <worldbody>\n{body}\n  </worldbody>\n"
-    text += f"\n  <!-- Fitted shapes that overlap at rest. -->\n  <contact>\n{contact}  </contact>\n" if contact else ""
-    text += "</mujoco>\n"
-    ElementTree.fromstring(text)
-    (folder / "model.xml").write_text(text)
+    made = f"{head}\n  <asset>\n{assets}  </asset>\n\n  <worldbody>\n{body}\n  </worldbody>\n"
+    made += f"\n  <!-- Fitted shapes that overlap at rest. -->\n  <contact>\n{contact}  </contact>\n" if contact else ""
+    return made + "</mujoco>\n"
 
 
 class _Writer:
-    def __init__(self, robot: Skeleton, parts: Parts, folder: Path) -> None:
+    def __init__(self, robot: Skeleton, parts: Parts, folder: Path | None) -> None:
         self.robot, self.parts, self.folder = robot, parts, folder
         self.source, self.mj, self.data = robot.source, robot.source.mj, robot.source.data
         self.meshes: set[str] = set()
@@ -194,9 +196,10 @@ class _Writer:
             kind = "finger" if body in self.fingers else "body"
             ends = _numbers([*own @ shape.start, *own @ shape.end])
             yield f'<geom class="{kind}" size="{shape.radius:.4g}" fromto="{ends}"/>'
-        yield from self.seen(body, here, rotation)
+        if self.folder is not None:
+            yield from self.seen(self.folder, body, here, rotation)
 
-    def seen(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
+    def seen(self, folder: Path, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
         """What one sees of a body: what does not collide, else what does."""
         mj = self.mj
         mine = range(mj.body_geomadr[body], mj.body_geomadr[body] + mj.body_geomnum[body])
@@ -209,13 +212,13 @@ class _Writer:
             colour = mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[geom]
             look = f'class="visual" rgba="{_numbers(colour[:3])} 1"{pose}'
             if mj.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-                yield f'<geom {look} type="mesh" mesh="{self.mesh(int(mj.geom_dataid[geom]))}"/>'
+                yield f'<geom {look} type="mesh" mesh="{self.mesh(folder, int(mj.geom_dataid[geom]))}"/>'
             else:
                 kind = mujoco.mjtGeom(int(mj.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
                 yield f'<geom {look} type="{kind}" size="{_numbers(mj.geom_size[geom])}"/>'
 
-    def mesh(self, mesh: int) -> str:
-        """Write a mesh, as it was compiled, and give it a name."""
+    def mesh(self, beside: Path, mesh: int) -> str:
+        """Write a mesh, as it was compiled, into ``meshes`` beside the model, and give it a name."""
         mj = self.mj
         name = re.sub(r"\W+", "_", mj.mesh(mesh).name or f"mesh_{mesh}")
         if name not in self.meshes:
@@ -224,7 +227,7 @@ class _Writer:
             faces = mj.mesh_face[mj.mesh_faceadr[mesh] : mj.mesh_faceadr[mesh] + mj.mesh_facenum[mesh]]
             triangles = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
             triangles["corners"] = vertices[faces]
-            folder = self.folder / "meshes"
+            folder = beside / "meshes"
             folder.mkdir(exist_ok=True)
             with (folder / f"{name}.stl").open("wb") as file:
                 file.write(b"\0" * 80 + np.uint32(len(faces)).tobytes() + triangles.tobytes())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from itertools import product
 from pathlib import Path
 
@@ -43,8 +42,7 @@ def new_robot(model: Path, folder: Path, name: str) -> Skeleton:
     leg = _leg_length(robot)
     found = drives(robot, leg, mass * GRAVITY)
     limits = {robot.joint_name(j): (d.lower, d.upper) for j, d in found.items()}
-    with tempfile.TemporaryDirectory() as draft:
-        mj = _compiled(robot, parts, name, Path(draft), found)
+    mj = _compiled(robot, parts, name, found)
     poser = Poser(mj, limits)
     poser.middle = {side: (soles[side].heel + soles[side].toe) / 2 for side in SIDES}
     chains = {side: Chain(tuple(map(robot.joint_name, robot.legs[side].joints)), f"{side[0]}_sole") for side in SIDES}
@@ -108,12 +106,9 @@ def _leg_length(robot: Skeleton) -> float:
     return float(np.linalg.norm(np.diff(anchors, axis=0), axis=1).sum())
 
 
-def _compiled(
-    robot: Skeleton, parts: model_xml.Parts, name: str, draft: Path, found: dict[int, Drive]
-) -> mujoco.MjModel:
+def _compiled(robot: Skeleton, parts: model_xml.Parts, name: str, found: dict[int, Drive]) -> mujoco.MjModel:
     """The generated model with the drives' armature."""
-    model_xml.write(robot, parts, name, draft)
-    spec = mujoco.MjSpec.from_file(str(draft / "model.xml"))
+    spec = mujoco.MjSpec.from_string(model_xml.text(robot, parts, name))
     for joint, drive in found.items():
         own = spec.joint(robot.joint_name(joint))
         own.armature = drive.armature

@@ -191,7 +191,7 @@ def _joints(content: Content) -> str:
     width = max(len(name) for name in by_name) + 1
     lines = [
         "# The order is that of every joint vector. Servo gains: those of a robot that stands on them, by m·g·h;",
-        f"# bounded where a light link, the physics' step or a torque lag of {1e3 * TORQUE_LAG:g} ms would make them unstable.",
+        f"# bounded where a light link, the physics' step or a torque lag of {1e3 * TORQUE_LAG:g} ms made it unstable.",
         "joints:",
     ]
     for members in groups(content.robot).values():
