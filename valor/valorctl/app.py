@@ -20,6 +20,7 @@ from valor.valorctl.verbs import (
     lifecycle,
     motion,
     observation,
+    robots,
     step,
     tracing,
 )
@@ -119,7 +120,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
 )
-for _group in (lifecycle, observation, motion, step, bags, demonstration, experiments, diagnosis, tracing):
+for _group in (lifecycle, observation, motion, step, robots, bags, demonstration, experiments, diagnosis, tracing):
     _group.register(app)
 
 
