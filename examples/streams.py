@@ -1,8 +1,4 @@
-#!/usr/bin/env python3
-"""How well the robot's streams arrive at a ROS 2 node: rate and age of /joint_states, pace of /clock.
-
-python streams.py [SECONDS]
-"""
+"""How well the robot's streams arrive at a ROS 2 node: rate and age of /joint_states, pace of /clock."""
 
 from __future__ import annotations
 

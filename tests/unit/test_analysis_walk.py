@@ -119,11 +119,11 @@ def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> 
 
 
 @given(st.lists(st.booleans(), max_size=30))
-def testruns_are_the_runs_of_contact(touching: list[bool]) -> None:
-    runs = runs(np.array(touching, dtype=bool))
-    covered = [i for first, last in runs for i in range(first, last + 1)]
+def test_stands_are_the_runs_of_contact(touching: list[bool]) -> None:
+    stands = runs(np.array(touching, dtype=bool))
+    covered = [i for first, last in stands for i in range(first, last + 1)]
     assert covered == [i for i, each in enumerate(touching) if each]
-    assert all(before[1] + 1 < after[0] for before, after in pairwise(runs))
+    assert all(before[1] + 1 < after[0] for before, after in pairwise(stands))
 
 
 def truth(k: int, pose: tuple[FloatArray, FloatArray], left: bool, right: bool) -> GroundTruth:
