@@ -17,9 +17,10 @@ from valor.robot.limiter import Limiter
 from valor.valor_ros_controller.controllers.configuration import ControllersTable, Settings
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ARM = "right_arm_traj_controller"
@@ -137,7 +138,7 @@ def test_what_is_accepted_is_followed_to_within_the_path_tolerance(robot: str, n
     still, now = np.zeros_like(start), 1_000_000_000
     try:
         waypoints = check_waypoints(limits.names, points, limits)
-        trajectory = Trajectory.begin(waypoints, 0, now, (start, still, still), limits, error=tolerance)
+        trajectory = begin(waypoints, 0, now, (start, still, still), limits, error=tolerance)
     except InvalidTrajectoryError:
         return
     worst = Follower(limits, start).worst_error(trajectory, now, round(1e9 * hw.robot.control_period))

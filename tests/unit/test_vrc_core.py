@@ -38,9 +38,9 @@ from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.footstep_controller import State
 from valor.valor_ros_controller.model_tree import read
+from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 
 SECOND = 1_000_000_000
 THREE = ("shoulder", "elbow", "wrist")
@@ -67,7 +67,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, s
     points = [Point(*[list(part) if i < order else [] for i, part in enumerate(state)], [], 3.0 * (k + 1))
               for k, state in enumerate(states)]  # fmt: skip
     rest = (np.zeros(3), np.zeros(3), np.zeros(3))
-    trajectory = Trajectory.begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE)
+    trajectory = begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE)
     step = SECOND // 1000
     for at in (0.3, 1.1, 2.7, 3.5, 5.2, 8.4):
         time = NOW + round(at * SECOND)
@@ -202,8 +202,8 @@ def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
     points = check_waypoints(THREE, [Point([0.1] * 3, [], [], [], 1.0)], LIMITS)
     rest = (np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(InvalidTrajectoryError, match=r"begins 3600 s after now \(5\.000 s of robot time\)"):
-        Trajectory.begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS)
-    assert Trajectory.begin(points, NOW + 300 * SECOND, NOW, rest, LIMITS).end == NOW + 301 * SECOND
+        begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS)
+    assert begin(points, NOW + 300 * SECOND, NOW, rest, LIMITS).end == NOW + 301 * SECOND
 
 
 def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:

@@ -13,9 +13,10 @@ from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest, stated
+from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -272,7 +273,7 @@ def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_th
 
 def test_goal_tolerances_override_the_defaults():
     c = Arm().controller
-    over = c.settings.goal.override([("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance")
+    over = stated(c.settings.goal, [("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance")
     elbow, wrist = NAMES.index("l_elbow_pitch"), NAMES.index("l_wrist_yaw")
     assert over.position[elbow] == 0.5 and over.velocity[elbow] == c.settings.goal.velocity[elbow]
     assert np.isinf(over.position[wrist]) and np.isinf(over.velocity[wrist])
@@ -282,5 +283,5 @@ def test_goal_tolerances_override_the_defaults():
         ([("l_wrist_yaw", -0.5, 0.0)], ("-0.5",)),
     ):
         with pytest.raises(InvalidTrajectoryError) as error:
-            c.settings.goal.override(entries, NAMES, "goal_tolerance")
+            stated(c.settings.goal, entries, NAMES, "goal_tolerance")
         assert all(word in str(error.value) for word in words)

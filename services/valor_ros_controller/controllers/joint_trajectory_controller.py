@@ -19,6 +19,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest
+from valor.valor_ros_controller.trajectory.admission import begin
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -57,7 +58,6 @@ class JointTrajectoryController:
 
     type = "joint_trajectory_controller/JointTrajectoryController"
     command_interfaces = ("position", "velocity", "acceleration")
-    state_interfaces = ("position", "velocity")
 
     def __init__(
         self, name: str, config: TrajectoryControllerConfig, hw: ValorEscherHWInterface, modes: Sequence[str]
@@ -231,7 +231,7 @@ class JointTrajectoryController:
                     f"the Motion System accepts no set-points for {self._name} in behavior {present}; "
                     f"expected {wanted}",
                 )
-            trajectory = Trajectory.begin(
+            trajectory = begin(
                 request.waypoints,
                 request.start,
                 hw.time,
