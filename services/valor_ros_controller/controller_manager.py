@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol
 
 from valor.common.errors import ConfigurationError
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -37,10 +37,28 @@ class Controller(Protocol):
         """One cycle. Called whether active or not, for requests must be answered."""
 
 
-C = TypeVar("C", bound=Controller)
+class Onlooker:
+    """A controller that leads nothing: it says how things are while it is active.
+
+    Attributes:
+        active: chosen by the control mode.
+    """
+
+    active = False
+
+    def start(self, hw: ValorEscherHWInterface) -> None:
+        """Be active."""
+        self.active = True
+
+    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
+        """Be inactive."""
+        self.active = False
+
+    def update(self, hw: ValorEscherHWInterface) -> None:
+        """Nothing is led from here."""
 
 
-class ControllerManager(Generic[C]):
+class ControllerManager:
     """Controllers by name, which of them the control mode allows, and which are active.
 
     Attributes:
@@ -48,9 +66,9 @@ class ControllerManager(Generic[C]):
         switches: how often the active ones changed.
     """
 
-    def __init__(self, name: str, controllers: Iterable[C]) -> None:
+    def __init__(self, name: str, controllers: Iterable[Controller]) -> None:
         self.name = name
-        self.controllers: dict[str, C] = {controller.name: controller for controller in controllers}
+        self.controllers: dict[str, Controller] = {controller.name: controller for controller in controllers}
         self.switches = 0
         self._mode = ""
         self._allowed: frozenset[str] = frozenset()

@@ -20,7 +20,8 @@ from valor.valor_ros_controller.behavior_transition import (
     TransitionState,
 )
 from valor.valor_ros_controller.control_modes import ControlModeTable
-from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
+from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 S = ModeStatus

@@ -14,7 +14,7 @@ from harness.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
 from valor.common.behaviors import EMERGENCY_STOP, Behavior
 from valor.common.messages import BehaviorRequest, ModeStatus
 from valor.valor_ros_controller import behavior_transition
-from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
+from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 
 S = ModeStatus
 STOPPED = (Behavior.SOFT_STOP, Behavior.FREEZE)

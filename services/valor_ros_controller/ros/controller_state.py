@@ -12,7 +12,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits, Indices
-from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.valor_ros_controller.ros.prepared_message import PreparedPublisher, mark, stamp_mark
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
@@ -54,7 +54,6 @@ class ControllerStatePublisher:
         self.rate = rate
         self._controller: Controller = controller
         self._reference: Reference | None = controller if hasattr(controller, "position") else None
-        self._stamp = stamp
         self._next = 0
         n = len(controller.joints)
         derivatives = 3 if self._reference else 1  # position, velocity, acceleration of the reference
@@ -68,10 +67,8 @@ class ControllerStatePublisher:
         state = JointTrajectoryControllerState(speed_scaling_factor=1.0, joint_names=list(controller.limits.names))
         state.header.stamp = stamp_mark()
         state.reference, state.feedback, state.error, state.output = points
-        self._message = PreparedMessage(state, begin)
-        rows = self._message.values.reshape(-1, n)
-        self._rows = np.split(rows, np.cumsum(counts)[:-1])
-        self._publisher = node.create_publisher(JointTrajectoryControllerState, topic, 1)
+        self._publisher = PreparedPublisher(node, topic, state, begin, stamp=stamp, queue=1)
+        self._rows = np.split(self._publisher.values.reshape(-1, n), np.cumsum(counts)[:-1])
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
         """Publish if it is due."""
@@ -80,7 +77,7 @@ class ControllerStatePublisher:
         if not controller.active or self._next - period <= time < self._next:
             return
         self._next = time + period
-        if not self._publisher.get_subscription_count():
+        if not self._publisher.heard:
             return
         reference, feedback, error, output = self._rows
         if self._reference:
@@ -91,4 +88,4 @@ class ControllerStatePublisher:
         feedback[0], feedback[1] = hw.position[controller.joints], hw.velocity[controller.joints]
         np.subtract(reference[: len(error)], feedback[: len(error)], out=error)
         output[:] = reference
-        self._publisher.publish(self._message.serialized(self._stamp))
+        self._publisher.publish()
