@@ -41,7 +41,7 @@ HELD_BY: Mapping[tuple[str, str, str], str] = {
     ("kill motion_manager and comms_manager", "standing", "sim"):
         f"{_MANAGER}test_both_managers_killed_the_robot_is_not_brought_to_its_feet",
     ("kill valor_ros_controller", "reaching", "sim"):
-        "tests/integration/vrc/test_ros_controller.py::test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold",
+        "tests/integration/vrc/test_when_processes_die.py::test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold",
     ("kill bifrostd", "standing", "sim"):
         "tests/bifrost/test_daemon.py::test_data_flows_while_the_daemon_is_dead_and_all_register_again",
     ("kill bag_recorder", "standing", "sim"):

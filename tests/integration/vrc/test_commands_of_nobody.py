@@ -16,17 +16,14 @@ from vigir_footstep_planning_msgs.msg import StepPlan
 
 import bifrost
 from harness.instance import RunningInstance
-from harness.places import ROBOTS
 from harness.system import RosClient
 from harness.waiting import wait_until
-from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go
+from tests.integration.vrc.vrc_system import HOME, PATIENCE, VRC, Topic, ask, go
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
 from valor.common.topics import MOTION_STATE
-from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
 
-HOME = RobotDescription.load(ROBOTS / "escher").tables.arm_presets["home"]["right"]
 WHY = "commands on ROS 2 are not obeyed: up with --ros-commands none"
 CONVERTER = "footstep_converter"
 
