@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 HEAD = "| event | the robot is | times | then | ready after [s] |"
 GOES_ON, NOT_WELL = "goes on", "not well within 60 s"
 _MANAGER = "tests/integration/test_motion_manager.py::"
+_KILLED = "tests/integration/test_motion_manager_killed.py::"
 _HARDWARE = "tests/integration/test_hardware.py::"
 _RECORDER = "tests/integration/bag_recorder/test_losses.py::"
 _DRIVER = "tests/integration/test_hdt_arms.py::test_driver_and_bridge_may_die_and_come_back_without_a_jump"
-_HELD = f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
-_MIDDLE = f"{_MANAGER}test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
+_HELD = f"{_KILLED}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
+_MIDDLE = f"{_KILLED}test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
 # fmt: off
 HELD_BY: Mapping[tuple[str, str, str], str] = {
     ("kill motion_manager", "standing", "sim"): _HELD,
@@ -37,9 +38,9 @@ HELD_BY: Mapping[tuple[str, str, str], str] = {
     ("kill motion_manager", "fallen", "sim"): _HELD,
     ("kill motion_manager", "walking", "sim"): _MIDDLE,
     ("stop motion_manager 7 s", "walking", "sim"): _MIDDLE,
-    ("kill comms_manager", "standing", "sim"): f"{_MANAGER}test_a_killed_comms_manager_is_a_fall_with_its_reason",
+    ("kill comms_manager", "standing", "sim"): f"{_KILLED}test_a_killed_comms_manager_is_a_fall_with_its_reason",
     ("kill motion_manager and comms_manager", "standing", "sim"):
-        f"{_MANAGER}test_both_managers_killed_the_robot_is_not_brought_to_its_feet",
+        f"{_KILLED}test_both_managers_killed_the_robot_is_not_brought_to_its_feet",
     ("kill valor_ros_controller", "reaching", "sim"):
         "tests/integration/vrc/test_when_processes_die.py::test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold",
     ("kill bifrostd", "standing", "sim"):

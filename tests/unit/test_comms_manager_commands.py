@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from harness.bifrost_network import BifrostNetwork, until
-from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, N, Robot
+from harness.still_robot import PERIOD, ROBOT, N, Robot
 from valor.common.behaviors import REFLEX
 from valor.common.messages import JointMode, Motor
 from valor.common.topics import MOTOR

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.unit.test_motion_manager_periods import ROBOT, Robot
+from harness.still_robot import ROBOT, Robot
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest, Motor
 from valor.comms_manager.latch import BehaviorLatch

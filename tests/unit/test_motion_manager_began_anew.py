@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, Robot, tilted
+from harness.still_robot import PERIOD, ROBOT, Robot, tilted
 from valor.common.behaviors import Behavior
 from valor.common.messages import JointMode
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm

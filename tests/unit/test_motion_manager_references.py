@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.test_motion_manager_periods import Robot
+from harness.still_robot import Robot
 from tests.unit.test_motion_manager_setpoints import ARM, ROBOT, Bench
 from valor.common.behaviors import Behavior
 from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON

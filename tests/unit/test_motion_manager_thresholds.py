@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from bifrost import Received
 from harness.examples import examples
+from harness.still_robot import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from tests.unit.test_motion_manager_bypass import goal, lead, standing
-from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
 from valor.common.rotation import NORM
