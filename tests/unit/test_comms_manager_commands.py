@@ -12,7 +12,7 @@ import pytest
 
 from harness.bifrost_network import BifrostNetwork, until
 from harness.still_robot import PERIOD, ROBOT, N, Robot
-from valor.common.behaviors import REFLEX
+from valor.common.behaviors import REFLEX, Reaction
 from valor.common.messages import JointMode, Motor
 from valor.common.topics import MOTOR
 from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
@@ -66,7 +66,7 @@ class Devices:
         self._publisher.publish(motor(0, behavior=REFLEX))  # is passed over, if it comes later
         return self._subscriber.receive(timeout=SOON) is not None
 
-    def measure(self, periods: int = 1, demand: str = "keep_balance", **changes: Any) -> None:
+    def measure(self, periods: int = 1, demand: Reaction = Reaction.KEEP_BALANCE, **changes: Any) -> None:
         """So many periods later the devices say that the robot stands."""
         self.sequence += periods
         self._robot.time, self._robot.sequence = self.sequence * PERIOD, self.sequence
@@ -304,7 +304,7 @@ def test_what_the_reflex_lets_go_stays_limp_and_is_kept(devices: Devices) -> Non
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    devices.measure(demand="limp")
+    devices.measure(demand=Reaction.LIMP)
     assert (commands.leader.silent, commands.leader.limp) == (True, True)
     assert commands.leader.motor is not None
     assert commands.leader.motor.behavior == devices.latch.behavior == "fall"
