@@ -14,7 +14,7 @@ import geometry_msgs.msg
 from vigir_footstep_planning_msgs import msg as vigir
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus, StepPlan
 
-from valor.common.errors import ValorError
+from valor.common.errors import RefusalError
 from valor.common.poses import Pose
 from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, Step, StepRule
 
@@ -25,7 +25,7 @@ TERMS = ("swing_height", "step_duration", "sway_duration")
 _F, _E = FootstepExecutionStatus, ErrorStatus
 
 
-class PlanError(ValorError):
+class PlanError(RefusalError):
     """A plan that the robot does not get.
 
     Attributes:
@@ -34,7 +34,7 @@ class PlanError(ValorError):
     """
 
     def __init__(self, status: int, error: int, text: str) -> None:
-        super().__init__(text)
+        super().__init__("plan", text)
         self.status = status
         self.error = error
 
