@@ -237,6 +237,12 @@ class ModeClient:
         assert self.result is None, "finished twice"
         self.result = report
 
+    @property
+    def report(self) -> ModeReport:
+        """The result, which has come."""
+        assert self.result is not None
+        return self.result
+
 
 class System:
     """Robot, Motion System and VRC.

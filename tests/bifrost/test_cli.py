@@ -67,7 +67,7 @@ def completed(*words: str) -> list[str]:
 def test_names_of_what_is_there_are_completed(net: BifrostNetwork) -> None:
     net.peer("publish", "lab/sample", "200")
     node = net.node("serving")
-    node.server("lab/ask", Question, Answer, lambda question: Answer("", 0))
+    node.server("lab/ask", Question, Answer, lambda question, origin: Answer("", 0))
     node.subscriber("attic/sample", Sample)
     registered(net, "publish_peer", "serving")
     until(lambda: completed("topic", "hz", "lab/") == ["lab/sample"], "the topic is offered")

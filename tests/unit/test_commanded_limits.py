@@ -121,8 +121,8 @@ def journeys(draw: st.DrawFn, limits: CommandedLimits) -> tuple[FloatArray, list
         peak = {1: 1.0, 3: 1.5, 5: 1.875}[order]
         time += max(0.004, peak * float((np.abs(there - here) / limits.velocity).max()) / hurry)
         moving = rng.uniform(-0.3, 0.3, len(here)) * limits.velocity * (i < count - 1) * draw(st.booleans())
-        rates = ([], [], []) if order == 1 else (moving, [], []) if order == 3 else (moving, 0.0 * moving, [])
-        points.append(Point(there, *rates, time))
+        velocity, acceleration = list(moving) if order > 1 else [], list(0.0 * moving) if order > 3 else []
+        points.append(Point(list(there), velocity, acceleration, [], time))
         here = there
     return start, points
 
@@ -152,7 +152,7 @@ def test_to_and_fro_at_the_greatest_speed_is_followed_to_within_the_path_toleran
     everything = hw.limits(hw.group_indices(config.groups))
     tolerance, period = Settings.of(config, len(everything.names)).path.position, hw.robot.control_period
     limits = CommandedLimits(
-        everything.names, everything.units, *np.full((2, len(tolerance)), np.inf) * [[-1.0], [1.0]],
+        everything.names, everything.units, np.full(len(tolerance), -np.inf), np.full(len(tolerance), np.inf),
         everything.velocity, everything.acceleration, everything.effort,
     )  # fmt: skip
     speed = limits.jumping_velocity(tolerance)

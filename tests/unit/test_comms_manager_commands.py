@@ -81,14 +81,24 @@ class Devices:
         commands = self.commands
         admitted, before = commands.leader.admitted, commands.leader.admitted + commands.refused
         self.say(**changes)
-        until(lambda: commands.take() or commands.leader.admitted + commands.refused > before, "a Motor is considered")
+
+        def considered() -> bool:
+            commands.take()
+            return commands.leader.admitted + commands.refused > before
+
+        until(considered, "a Motor is considered")
         assert commands.leader.admitted + commands.refused == before + 1
         return commands.leader.admitted > admitted
 
     def leave(self) -> None:
         """The Motion Manager is gone, and that is known."""
         self._speaker.close()
-        until(lambda: self.commands.take() or not self._subscriber.publishers, "nobody publishes Motor")
+
+        def nobody() -> bool:
+            self.commands.take()
+            return not self._subscriber.publishers
+
+        until(nobody, "nobody publishes Motor")
 
     def close(self) -> None:
         """End it all."""
@@ -263,7 +273,12 @@ def test_who_listens_takes_what_is_there_and_counts_no_miss(devices: Devices) ->
     assert (commands.leader.admitted, commands.waits_timed_out, commands.leader.silent) == (1, 0, False)
     for _ in range(3):
         devices.say()
-    until(lambda: commands.listen(0.0) or commands.leader.admitted == 4, "all are taken, without waiting")
+
+    def taken() -> bool:
+        commands.listen(0.0)
+        return commands.leader.admitted == 4
+
+    until(taken, "all are taken, without waiting")
     assert commands.drops == 0
 
 

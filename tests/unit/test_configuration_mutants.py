@@ -310,7 +310,7 @@ def changed(file: Path, mutant: Mutant) -> None:
     """Write the change into a file."""
     text = file.read_text()
     changes = mutant.change if isinstance(mutant.change[0], tuple) else (mutant.change,)
-    for old, new in changes:  # type: ignore[misc]
+    for old, new in changes:
         assert old in text, old
         text = text.replace(old, new) if len(changes) == 1 and old == KNEE else text.replace(old, new, 1)
     file.write_text(text)

@@ -207,7 +207,7 @@ def test_a_level_is_left_only_well_below_its_limit(temperatures: list[float]) ->
 
 def status(reaction: str) -> DeviceStatus:
     numbers = [0.0]
-    return DeviceStatus(0, ["legs/1"], ["silent"], ["x"], *([numbers] * 6), reaction, "legs/1: x")  # type: ignore[arg-type]
+    return DeviceStatus(0, ["legs/1"], ["silent"], ["x"], *([numbers] * 6), reaction, "legs/1: x")  # type: ignore[arg-type, call-arg]
 
 
 def arrive(fsm: BehaviorFsm, target: Behavior) -> None:

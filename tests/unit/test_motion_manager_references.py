@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -48,7 +50,7 @@ def test_a_foot_that_does_not_touch_has_no_part_in_the_centre_of_pressure(foot: 
     assert state is not None
     np.testing.assert_allclose(state.cop_in_odom, [0.02, 0.0], atol=1e-9)
     for _ in range(100):
-        robot.tick(**{f"{foot}_foot_wrench": np.zeros(6)})
+        robot.tick(**dict[str, Any]({f"{foot}_foot_wrench": np.zeros(6)}))
         state = robot.manager.parts.state
         assert state is not None
         if state.contacts.sum() == 1:

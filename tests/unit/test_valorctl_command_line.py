@@ -32,7 +32,8 @@ def parsed(verb: str, *arguments: str) -> dict[str, object]:
     """What a verb is called with."""
     context = COMMAND.make_context("valorctl", [verb, *arguments])
     command = COMMAND.get_command(context, verb)
-    return command.make_context(verb, list(arguments), parent=context).params
+    parameters: dict[str, object] = command.make_context(verb, list(arguments), parent=context).params
+    return parameters
 
 
 @pytest.mark.parametrize(

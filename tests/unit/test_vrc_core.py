@@ -64,8 +64,10 @@ vector = st.tuples(place, place, place)
 def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, states: list[Any]) -> None:
     """Of splines of every order, within every segment."""
     states[-1] = (states[-1][0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    points = [Point(*[list(part) if i < order else [] for i, part in enumerate(state)], [], 3.0 * (k + 1))
-              for k, state in enumerate(states)]  # fmt: skip
+    points = []
+    for k, state in enumerate(states):
+        position, velocity, acceleration = (list(part) if i < order else [] for i, part in enumerate(state))
+        points.append(Point(position, velocity, acceleration, [], 3.0 * (k + 1)))
     rest = (np.zeros(3), np.zeros(3), np.zeros(3))
     trajectory = begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE)
     step = SECOND // 1000
@@ -209,7 +211,7 @@ def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
 def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:
     arm = Arm().start()
     asked = arm.hw.time
-    arm.request([point(1.0, 0.2)])
+    arm.request([point(1.0, 0.2)])  # type: ignore[no-untyped-call]
     arm.run(2 * PERIOD / SECOND)
     begun, ended = arm.controller._trajectory.start, arm.controller._trajectory.end
     assert begun >= asked
@@ -257,7 +259,7 @@ def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(in
 def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(instance: RunningInstance) -> None:
     asked: list[tuple[str, str]] = []
 
-    def server_of(name: str, topic: ServiceTopic) -> bifrost.Server[BehaviorRequest, BehaviorReply]:
+    def server_of(name: str, topic: ServiceTopic[Any, Any]) -> bifrost.Server[BehaviorRequest, BehaviorReply]:
         def serve(request: BehaviorRequest, _origin: str) -> BehaviorReply:
             asked.append((name, request.behavior))
             return BehaviorReply(accepted=False, behavior="fall", reason="it lies")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ PERIOD = 4_000_000
 
 def motion_state(behavior: str, setpoint: np.ndarray) -> MotionState:
     manipulation, leader = ("teleop", "setpoints") if behavior.endswith("_manipulate") else ("slave", "nobody")
-    arms = {"left_arm": leader, "right_arm": leader}
+    arms: dict[str, Any] = {"left_arm": leader, "right_arm": leader}
     return motion_states.motion_state(
         behavior=behavior, manipulation=manipulation, **arms, joint_setpoint=setpoint, pelvis_in_support=np.zeros(6)
     )
@@ -38,7 +39,7 @@ def motion_state(behavior: str, setpoint: np.ndarray) -> MotionState:
 class Client:
     """Keeps what it is told."""
 
-    outcome: Outcome | None = None
+    outcome: Any = None  # an Outcome, once it is told
     feedbacks: list[int] = field(default_factory=list)
 
     def finish(self, outcome: Outcome) -> None:

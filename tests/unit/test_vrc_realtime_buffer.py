@@ -3,6 +3,7 @@
 import itertools
 import sys
 import threading
+from typing import Any
 
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
@@ -27,7 +28,7 @@ def test_a_value_that_is_false_is_still_news():
 
 def test_under_threads_values_are_whole_in_order_and_the_last_arrives():
     buffer: RealTimeBuffer[tuple[int, int]] = RealTimeBuffer()
-    last, seen, torn = 200_000, [], []
+    last, seen, torn = 200_000, list[Any](), list[Any]()
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
 

@@ -76,7 +76,7 @@ def test_whoever_commands_on_ros_is_refused_and_told_why(
     assert (told.successful, told.reason) == (False, WHY)
     for topic, message in (("/cmd_vel", Twist()), ("/flor/controller/soft_stop", Empty())):
         publish(unobeyed, topic, message)
-        wait_until(lambda t=topic: (t, WHY) in {(m.topic, m.reason) for m in rejections.messages}, PATIENCE, topic)
+        wait_until(lambda t=topic: (t, WHY) in {(m.topic, m.reason) for m in rejections.messages}, PATIENCE, topic)  # type: ignore[misc]
     publish(unobeyed, "/robot_controllers/footstep_controller/execute_step_plan", StepPlan())
     wait_until(lambda: f"plan refused: {WHY}" in system.log(CONVERTER), PATIENCE, "the plan's refusal")
 
