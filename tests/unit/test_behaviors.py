@@ -24,6 +24,7 @@ from valor.common.behaviors import (
     Behavior,
     ControlMode,
     Locomotion,
+    Reaction,
     requested_by,
     requester,
 )
@@ -71,7 +72,7 @@ def test_every_table_knows_every_behavior(behavior: Behavior) -> None:
 
 @pytest.mark.parametrize("behavior", Behavior)
 @pytest.mark.parametrize("demand", DEMANDS)
-def test_devices_that_fail_are_answered_in_every_behavior(demand: str, behavior: Behavior) -> None:
+def test_devices_that_fail_are_answered_in_every_behavior(demand: Reaction, behavior: Behavior) -> None:
     edges = BEHAVIOR_TRANSITIONS[behavior]
     assert behavior in ENOUGH[demand] or any(wanted is behavior or wanted in edges for wanted in DEMANDS[demand])
 

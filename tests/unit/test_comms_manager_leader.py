@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,7 +19,7 @@ from valor.comms_manager.leader import FALL, FREEZE, SOFT_STOP, Leader, drives
 from valor.whole_body.reflex import BalanceReflex
 
 STOPS = (FALL, FREEZE, SOFT_STOP)
-LIFTED = {"left_foot_wrench": np.zeros(6)}
+LIFTED: dict[str, Any] = {"left_foot_wrench": np.zeros(6)}
 SOON = round(0.1 / ROBOT.control_period)  # periods
 
 
@@ -30,7 +31,7 @@ class Bench(Robot):
         self.leader = leader
 
     def live(
-        self, periods: int = 1, *, led: bool = False, demand: Reaction = Reaction.KEEP_BALANCE, **changes: object
+        self, periods: int = 1, *, led: bool = False, demand: Reaction = Reaction.KEEP_BALANCE, **changes: Any
     ) -> Motor:
         """Periods with or without its Motion Manager; returns the Motor in force."""
         for _ in range(periods):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def standing(robot: Robot) -> Robot:
     return robot.stand()
 
 
-def broken(name: str, value: object) -> dict[str, object]:
+def broken(name: str, value: object) -> dict[str, Any]:
     return {name: value}
 
 
@@ -48,7 +49,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize("changes", BROKEN)
-def test_one_broken_proprioceptor_is_refused_and_survived(standing: Robot, changes: dict[str, object]) -> None:
+def test_one_broken_proprioceptor_is_refused_and_survived(standing: Robot, changes: dict[str, Any]) -> None:
     before = standing.motor
     assert before is not None
     motor = standing.tick(**changes)
@@ -62,7 +63,7 @@ def test_one_broken_proprioceptor_is_refused_and_survived(standing: Robot, chang
 
 
 @pytest.mark.parametrize("changes", BROKEN)
-def test_broken_proprioceptors_in_a_row_are_a_fall(standing: Robot, changes: dict[str, object]) -> None:
+def test_broken_proprioceptors_in_a_row_are_a_fall(standing: Robot, changes: dict[str, Any]) -> None:
     for _ in range(round(FAULTY / ROBOT.control_period)):
         assert standing.behavior is Behavior.STAND
         motor = standing.tick(**changes)
@@ -157,7 +158,7 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
             name = data.draw(st.sampled_from([next(iter(changes)) for changes in BROKEN]))
             value = np.full(data.draw(st.sampled_from([N, 3, 4, 6, 0])), data.draw(values))
             for _ in range(data.draw(st.integers(1, 7))):
-                robot.tick(**{name: value})
+                robot.tick(**dict[str, Any]({name: value}))
         elif event == "gap":
             robot.tick(elapsed=PERIOD * data.draw(st.integers(1, 100)))
         elif event == "anew":
@@ -193,7 +194,7 @@ def test_whatever_single_sensors_say_while_it_balances_the_motors_are_sound(
     assert not robot.ask(Behavior.STAND)
     robot.run(0.4)
     for period in periods:
-        sound, changes = robot.proprioceptor(), {}
+        sound, changes = robot.proprioceptor(), dict[str, Any]()
         for name, place, number in period:
             vector = changes.setdefault(name, getattr(sound, name).copy())
             vector[place % SAID[name]] = number

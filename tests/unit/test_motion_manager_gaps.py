@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -91,7 +93,7 @@ def test_a_robot_that_was_stepping_without_us_is_let_go_unless_it_has_come_to_re
     assert why in stepping.manager.fsm.reason
 
 
-def aside(robot: Robot, seconds: float = 0.1, **changes: object) -> None:
+def aside(robot: Robot, seconds: float = 0.1, **changes: Any) -> None:
     """The Comms Manager's reflex has the robot."""
     for _ in range(round(seconds / ROBOT.control_period)):
         motor = robot.tick(motor_behavior=REFLEX, **changes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -62,7 +64,7 @@ def test_stand_prep_moves_slowly_from_wherever_the_joints_are(robot: Robot) -> N
         ({"joint_velocity": np.full(N, 1.0)}, "has not settled: joint 'l_hip_yaw' moves at"),
     ],
 )
-def test_stand_is_refused_to_a_robot_that_cannot(robot: Robot, changes: dict[str, object], reason: str) -> None:
+def test_stand_is_refused_to_a_robot_that_cannot(robot: Robot, changes: dict[str, Any], reason: str) -> None:
     robot.run(1.0, **changes)
     assert reason in robot.ask(Behavior.STAND)
     assert robot.behavior is Behavior.STAND_PREP

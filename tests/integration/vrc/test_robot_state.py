@@ -39,9 +39,9 @@ def test_joint_states_and_imu_are_what_the_proprioceptor_says(ros: RosClient, no
     # A busy computer leaves some out.
     assert np.quantile(steps, 0.25) == pytest.approx(2.0), "every second Proprioceptor"
     for message in imu.messages:
-        if (sense := measured.get(stamp(message))) is not None:
+        if (known := measured.get(stamp(message))) is not None:
             q = message.orientation
-            assert [q.w, q.x, q.y, q.z] == sense.imu_orientation.tolist()
+            assert [q.w, q.x, q.y, q.z] == known.imu_orientation.tolist()
     assert imu.messages[0].header.frame_id == "imu_link"
 
 

@@ -63,7 +63,7 @@ def test_arm_and_neck_reach_their_goals_without_a_jump(manipulating: RosClient, 
     assert setpoints.drops == 0 and len(messages) > 100
     setpoints.close()
     names = messages[0].names
-    limit = CommandedLimits.of_joints(ROBOT).select([ROBOT.index[name] for name in names]).fastest
+    limit = CommandedLimits.of_joints(ROBOT).select(np.array([ROBOT.index[name] for name in names])).fastest
     for before, after in itertools.pairwise(messages):
         seconds = max((after.time - before.time) * 1e-9, 0.004)
         assert (np.abs(after.position - before.position) <= 1.06 * limit * seconds + 1e-6).all(), "a jump"
@@ -97,7 +97,11 @@ def test_a_hand_closes_and_opens(manipulating: RosClient, side: Literal["left", 
         target = ROBOT.tables.hand_presets[preset][side]
         answer = manipulating.follow(f"{side}_hand", [(1.0, target)])
         assert answer.result.error_code == SUCCESSFUL, answer.result.error_string
-        wait_until(lambda t=target: max(errors(manipulating, t).values()) < 0.05, PATIENCE, f"the hand to {preset}")
+        wait_until(
+            lambda t=target: max(errors(manipulating, t).values()) < 0.05,  # type: ignore[misc]
+            PATIENCE,
+            f"the hand to {preset}",
+        )
         after = manipulating.joint_positions()
         assert max(abs(after[joint] - before[joint]) for joint in other) < 0.05, "the other hand moved"
 
