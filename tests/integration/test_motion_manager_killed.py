@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bifrost import Subscriber
 from harness.instance import RunningInstance
 from harness.motion_system import STANDING, MotionSystem
 from harness.places import ROBOTS
@@ -111,6 +112,33 @@ def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(instance: R
     assert "stay limp" in instance.log("comms_manager")
 
 
+def last_led_by(measured: Subscriber[Proprioceptor]) -> str:
+    """The behavior of the Motor in force."""
+    return wait_until(measured.latest, 20.0, "a Proprioceptor").message.motor_behavior
+
+
+def let_go_by_the_reflex(system: MotionSystem, measured: Subscriber[Proprioceptor]) -> None:
+    """Whoever wants it limp while nobody but the reflex is there has it limp."""
+    instance = system.instance
+    system.go(Behavior.STAND_PREP)
+    system.stand()
+    system.walk_on_one_foot(1.0)
+    instance.kill("motion_manager")
+    wait_until(lambda: last_led_by(measured) == REFLEX, 30.0, "the reflex")
+    reply = (
+        instance.node("somebody")
+        .client(STOP.name, BehaviorRequest, BehaviorReply)
+        .call(BehaviorRequest("fall"), timeout=10.0)
+    )
+    assert (reply.accepted, reply.behavior) == (True, "fall")
+    wait_until(lambda: last_led_by(measured) == "fall", 30.0, "what was asked for")
+    sinking = [wait_until(measured.latest, 20.0, "a Proprioceptor").message for _ in range(10)]
+    assert {each.motor_behavior for each in sinking} == {"fall"}
+    assert driven(sinking[5:]) < FALLING
+    instance.start("motion_manager", wait=True)
+    assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
+
+
 def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand(
     instance: RunningInstance,
 ) -> None:
@@ -124,15 +152,12 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
         statistics.latest()
         return wait_until(statistics.latest, 20.0, "new statistics").message.rejected
 
-    def last_led_by() -> str:
-        return wait_until(measured.latest, 20.0, "a Proprioceptor").message.motor_behavior
-
     def stopped_and_continued() -> None:
         process = system.instance.process("motion_manager")
         process.send_signal(signal.SIGSTOP)
         try:
-            wait_until(lambda: last_led_by() == REFLEX, 30.0, "the reflex")
-            wait_until(lambda: last_led_by() == "walk", 30.0, "its end")
+            wait_until(lambda: last_led_by(measured) == REFLEX, 30.0, "the reflex")
+            wait_until(lambda: last_led_by(measured) == "walk", 30.0, "its end")
             refused = rejected()
         finally:
             process.send_signal(signal.SIGCONT)
@@ -155,24 +180,7 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
         assert system.height > STANDING
     assert "it stands, after" in instance.log("comms_manager")
 
-    # Whoever wants it limp while nobody but the reflex is there has it limp.
-    system.go(Behavior.STAND_PREP)
-    system.stand()
-    system.walk_on_one_foot(1.0)
-    instance.kill("motion_manager")
-    wait_until(lambda: last_led_by() == REFLEX, 30.0, "the reflex")
-    reply = (
-        instance.node("somebody")
-        .client(STOP.name, BehaviorRequest, BehaviorReply)
-        .call(BehaviorRequest("fall"), timeout=10.0)
-    )
-    assert (reply.accepted, reply.behavior) == (True, "fall")
-    wait_until(lambda: last_led_by() == "fall", 30.0, "what was asked for")
-    sinking = [wait_until(measured.latest, 20.0, "a Proprioceptor").message for _ in range(10)]
-    assert {each.motor_behavior for each in sinking} == {"fall"}
-    assert driven(sinking[5:]) < FALLING
-    instance.start("motion_manager", wait=True)
-    assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
+    let_go_by_the_reflex(system, measured)
 
 
 def test_both_managers_killed_the_robot_is_not_brought_to_its_feet(instance: RunningInstance) -> None:
