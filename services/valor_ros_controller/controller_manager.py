@@ -63,6 +63,7 @@ class ControllerManager:
 
     Attributes:
         controllers: by name.
+        active: names of the active ones, sorted; a new object whenever they change.
         switches: how often the active ones changed.
     """
 
@@ -72,12 +73,7 @@ class ControllerManager:
         self.switches = 0
         self._mode = ""
         self._allowed: frozenset[str] = frozenset()
-        self._active: tuple[str, ...] = ()
-
-    @property
-    def active(self) -> tuple[str, ...]:
-        """Names of the active controllers."""
-        return self._active
+        self.active: tuple[str, ...] = ()
 
     def check(self, names: Sequence[str], where: str) -> None:
         """Whether all controllers named exist.
@@ -100,8 +96,8 @@ class ControllerManager:
             return
         self._mode = mode
         self._allowed = frozenset(names)
-        leaving = [name for name in self._active if anew or name not in self._allowed]
-        self.apply(leaving, [name for name in names if anew or name not in self._active], hw, reason)
+        leaving = [name for name in self.active if anew or name not in self._allowed]
+        self.apply(leaving, [name for name in names if anew or name not in self.active], hw, reason)
 
     def allows(self, name: str) -> bool:
         """Whether a controller may be active in the present mode."""
@@ -115,10 +111,10 @@ class ControllerManager:
             self.controllers[name].stop(hw, reason)
         for name in coming:
             self.controllers[name].start(hw)
-        stay = [name for name in self._active if name not in leaving]
-        self._active = tuple(sorted((*stay, *coming)))
+        stay = [name for name in self.active if name not in leaving]
+        self.active = tuple(sorted((*stay, *coming)))
         self.switches += 1
-        _log.info("%s controllers: %s (%s)", self.name, ", ".join(self._active) or "none", reason)
+        _log.info("%s controllers: %s (%s)", self.name, ", ".join(self.active) or "none", reason)
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """One cycle of each."""

@@ -95,10 +95,11 @@ class Follower:
 
     def worst_error(self, trajectory: Trajectory, start: int, period: int) -> FloatArray:
         """(n,) How far behind, or ahead of, a trajectory it ever is."""
-        position, velocity, acceleration = np.zeros((3, len(self._limiter.position)))
+        state = np.zeros((3, len(self._limiter.position)))
+        position, velocity, _ = state
         worst = np.zeros_like(position)
         for time in range(start + period, trajectory.end + 10 * period, period):
-            trajectory.sample(time, position, velocity, acceleration)
+            trajectory.sample(time, state)
             self._limiter.advance(position, velocity, period * 1e-9)
             worst = np.maximum(worst, np.abs(self._limiter.position - position))
         return worst
@@ -138,7 +139,7 @@ def test_what_is_accepted_is_followed_to_within_the_path_tolerance(robot: str, n
     still, now = np.zeros_like(start), 1_000_000_000
     try:
         waypoints = check_waypoints(limits.names, points, limits)
-        trajectory = begin(waypoints, 0, now, (start, still, still), limits, error=tolerance)
+        trajectory = begin(waypoints, 0, now, np.array((start, still, still)), limits, error=tolerance)
     except InvalidTrajectoryError:
         return
     worst = Follower(limits, start).worst_error(trajectory, now, round(1e9 * hw.robot.control_period))

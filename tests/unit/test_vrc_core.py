@@ -68,7 +68,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, s
     for k, state in enumerate(states):
         position, velocity, acceleration = (list(part) if i < order else [] for i, part in enumerate(state))
         points.append(Point(position, velocity, acceleration, [], 3.0 * (k + 1)))
-    rest = (np.zeros(3), np.zeros(3), np.zeros(3))
+    rest = np.zeros((3, 3))
     trajectory = begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE)
     step = SECOND // 1000
     for at in (0.3, 1.1, 2.7, 3.5, 5.2, 8.4):
@@ -202,7 +202,7 @@ def test_how_old_the_robots_word_is_is_told_in_seconds(system: System) -> None:
 
 def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
     points = check_waypoints(THREE, [Point([0.1] * 3, [], [], [], 1.0)], LIMITS)
-    rest = (np.zeros(3), np.zeros(3), np.zeros(3))
+    rest = np.zeros((3, 3))
     with pytest.raises(InvalidTrajectoryError, match=r"begins 3600 s after now \(5\.000 s of robot time\)"):
         begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS)
     assert begin(points, NOW + 300 * SECOND, NOW, rest, LIMITS).end == NOW + 301 * SECOND
@@ -215,10 +215,10 @@ def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:
     arm.run(2 * PERIOD / SECOND)
     begun, ended = arm.controller._trajectory.start, arm.controller._trajectory.end
     assert begun >= asked
-    assert "0.250 s before the trajectory begins" in arm.controller.state_at(begun - SECOND // 4).message
-    assert "1.500 s after the trajectory has ended" in arm.controller.state_at(ended + 3 * SECOND // 2).message
+    assert "0.250 s before the trajectory begins" in arm.controller.state_at(begun - SECOND // 4)[0]
+    assert "1.500 s after the trajectory has ended" in arm.controller.state_at(ended + 3 * SECOND // 2)[0]
     for inside in (begun, (begun + ended) // 2, ended):
-        assert arm.controller.state_at(inside).message == ""
+        assert arm.controller.state_at(inside)[0] == ""
 
 
 def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(instance: RunningInstance) -> None:

@@ -152,8 +152,8 @@ def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name():
 def test_a_flood_of_refusals_is_counted_and_told_once(caplog):
     controller = Arm().start().controller
     for _ in range(1000):
-        controller.refuse(None, InvalidTrajectoryError(ErrorCode.INVALID_JOINTS, "unknown joint 'nobody'"))
-    controller.refuse(None, InvalidTrajectoryError(ErrorCode.INVALID_JOINTS, "no joints"))
+        controller.refuse(None, InvalidTrajectoryError("unknown joint 'nobody'", ErrorCode.INVALID_JOINTS))
+    controller.refuse(None, InvalidTrajectoryError("no joints", ErrorCode.INVALID_JOINTS))
     assert controller.rejected == 1001
     assert [record.getMessage().partition("refused: ")[2] for record in caplog.records] == [
         "unknown joint 'nobody'",

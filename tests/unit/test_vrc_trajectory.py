@@ -24,7 +24,7 @@ LIMITS = CommandedLimits(
     acceleration=np.array([20.0, 20.0, 60.0]),
     effort=np.full(3, np.inf),
 )
-REST = (np.zeros(3), np.zeros(3), np.zeros(3))
+REST = np.zeros((3, 3))
 NOW = 5_000_000_000
 
 
@@ -34,7 +34,7 @@ def point(time, positions, velocities=(), accelerations=(), effort=()):
 
 def sample(trajectory, now):
     state = np.zeros((3, len(NAMES)))
-    trajectory.sample(now, *state)
+    trajectory.sample(now, state)
     return state
 
 
@@ -84,7 +84,7 @@ def test_broken_trajectories_are_refused_with_the_reason(names, points, code, wo
 
 def test_partial_goals_are_taken_where_allowed_and_the_rest_holds():
     waypoints = check_waypoints(["wrist"], [point(1.0, [2.0])], LIMITS, allow_partial=True)
-    trajectory = begin(waypoints, 0, NOW, (np.array([0.1, 0.2, 0.3]), *REST[1:]), LIMITS)
+    trajectory = begin(waypoints, 0, NOW, np.array([[0.1, 0.2, 0.3], *REST[1:]]), LIMITS)
     assert sample(trajectory, NOW + 500_000_000)[0] == pytest.approx([0.1, 0.2, 1.15])
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([0.1, 0.2, 2.0])
 
@@ -217,7 +217,7 @@ def trajectories(draw):
 def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(points, here):
     try:
         waypoints = check_waypoints(NAMES, points, LIMITS)
-        trajectory = begin(waypoints, 0, NOW, (np.array(here), *REST[1:]), LIMITS)
+        trajectory = begin(waypoints, 0, NOW, np.array([here, *REST[1:]]), LIMITS)
     except InvalidTrajectoryError as error:
         assert error.code is ErrorCode.INVALID_GOAL
         return
@@ -229,7 +229,7 @@ def test_accepted_trajectories_are_continuous_within_limits_and_through_their_po
     assert (states[:, 0] >= LIMITS.lower - 1e-3).all() and (states[:, 0] <= LIMITS.upper + 1e-3).all()
     moved = np.abs(np.diff(states[:, 0], axis=0))
     assert (moved <= LIMITS.fastest * 1.01 * step * 1e-9 + 1e-9).all(), "a jump"
-    fresh = begun(points, state=(np.array(here), *REST[1:]))
+    fresh = begun(points, state=np.array([here, *REST[1:]]))
     for way in points:
         through = sample(fresh, NOW + round(way.time_from_start * 1e9))
         assert through[0] == pytest.approx(way.positions, abs=1e-6)

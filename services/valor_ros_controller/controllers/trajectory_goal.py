@@ -89,12 +89,12 @@ def stated(
     for name, *values in entries:
         if name not in names:
             text = f"{which} names {name!r}, which is none of {', '.join(names)}"
-            raise InvalidTrajectoryError(ErrorCode.INVALID_GOAL, text)
+            raise InvalidTrajectoryError(text)
         joint = names.index(name)
         for field, target, value in zip(("position", "velocity"), (position, velocity), values, strict=True):
             if not np.isfinite(value) or (value < 0 and value != -1):
                 text = f"{which} of {name}: {field} is {value:g}; expected positive, 0 (default) or -1 (unchecked)"
-                raise InvalidTrajectoryError(ErrorCode.INVALID_GOAL, text)
+                raise InvalidTrajectoryError(text)
             if value:
                 target[joint] = np.inf if value < 0 else value
     return Tolerances(position, velocity)

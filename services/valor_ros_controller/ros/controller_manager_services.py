@@ -93,11 +93,11 @@ class ControllerManagerServices:
             (ListHardwareComponents, "list_hardware_components", self._list_components),
             (ListHardwareInterfaces, "list_hardware_interfaces", self._list_interfaces),
             (SwitchController, "switch_controller", self._switch_controllers),
-            (LoadController, "load_controller", self._refuse_to("load")),
+            (LoadController, "load_controller", self._refuse_to("load_controller")),
             (ConfigureController, "configure_controller", self._configure),
-            (CleanupController, "cleanup_controller", self._refuse_to("cleanup")),
-            (UnloadController, "unload_controller", self._refuse_to("unload")),
-            (ReloadControllerLibraries, "reload_controller_libraries", self._reload),
+            (CleanupController, "cleanup_controller", self._refuse_to("cleanup_controller")),
+            (UnloadController, "unload_controller", self._refuse_to("unload_controller")),
+            (ReloadControllerLibraries, "reload_controller_libraries", self._refuse_to("reload_controller_libraries")),
             (SetHardwareComponentState, "set_hardware_component_state", self._set_component),
         ):
             node.create_service(kind, f"{NAMESPACE}/{name}", callback)
@@ -210,7 +210,7 @@ class ControllerManagerServices:
 
     def _refuse_to(self, verb: str) -> Callable[[Any, Any], Any]:
         def refuse(request: Any, response: Any) -> Any:
-            _log.warning("%s_controller refused: %s: %s", verb, request.name, _LOADED)
+            _log.warning("%s refused: %s: %s", verb, getattr(request, "name", "all"), _LOADED)
             response.ok = False
             return response
 
@@ -223,12 +223,6 @@ class ControllerManagerServices:
         if not response.ok:
             state = "is active" if request.name in active else "does not exist"
             _log.warning("configure_controller refused: %s %s", request.name, state)
-        return response
-
-    @staticmethod
-    def _reload(_: Any, response: Any) -> Any:
-        _log.warning("reload_controller_libraries refused: %s", _LOADED)
-        response.ok = False
         return response
 
     def _set_component(self, request: Any, response: Any) -> Any:

@@ -15,7 +15,7 @@ from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 from valor.valor_ros_controller.ros.control_mode_action import ControlModeAction
 from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor.valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
-from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher
+from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher, Limb
 from valor.valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
 from valor.valor_ros_controller.ros.footstep_state import FootstepStatePublisher
 from valor.valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
@@ -98,7 +98,7 @@ class Faces:
             states.append(self._open_state(name, follower, table.tracking_controllers[name].state_publish_rate))
         return states
 
-    def _open_state(self, name: str, controller: object, default: float) -> ControllerStatePublisher:
+    def _open_state(self, name: str, controller: Limb, default: float) -> ControllerStatePublisher:
         topic = f"{self._core.table.namespace}/{name}/controller_state"
         publisher = ControllerStatePublisher(self._node, topic, controller, self._stamp, default)
 

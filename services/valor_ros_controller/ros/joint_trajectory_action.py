@@ -15,7 +15,7 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController, QueriedState
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest, stated
 from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
@@ -134,9 +134,7 @@ class JointTrajectoryAction:
             multi = request.multi_dof_trajectory
             components = request.component_path_tolerance or request.component_goal_tolerance
             if multi.joint_names or multi.points or components:
-                raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL, "joints with several degrees of freedom: this controller has none"
-                )
+                raise InvalidTrajectoryError("joints with several degrees of freedom: this controller has none")
             self._controller.submit(self._request(request.trajectory, request, goal))
         except InvalidTrajectoryError as error:
             self._controller.refuse(goal, error)
@@ -158,15 +156,13 @@ class JointTrajectoryAction:
         """Where the trajectory is at a time."""
         time = _nanoseconds(request.time)
         try:
-            state = self._queue.call(lambda: self._controller.state_at(time))
+            response.message, state = self._queue.call(lambda: self._controller.state_at(time))
         except TimeoutError as error:
-            state = QueriedState(str(error), *np.zeros((3, 0)))
-        response.success, response.message = not state.message, state.message
-        if state.position.size:
+            response.message, state = str(error), np.zeros((3, 0))
+        response.success = not response.message
+        if state.size:
             response.name = self._names
-        response.position = _numbers(state.position)
-        response.velocity = _numbers(state.velocity)
-        response.acceleration = _numbers(state.acceleration)
+        response.position, response.velocity, response.acceleration = map(_numbers, state)
         return response
 
     def _request(self, trajectory: Any, goal: Any, client: Goal | None) -> TrajectoryRequest:
@@ -176,7 +172,7 @@ class JointTrajectoryAction:
             InvalidTrajectoryError: it is not to be run.
         """
         if self._refusal:
-            raise InvalidTrajectoryError(ErrorCode.INVALID_GOAL, self._refusal)
+            raise InvalidTrajectoryError(self._refusal)
         controller, settings = self._controller, self._controller.settings
         points = [
             Point(p.positions, p.velocities, p.accelerations, p.effort, _nanoseconds(p.time_from_start) * 1e-9)
@@ -195,7 +191,7 @@ class JointTrajectoryAction:
             late = _nanoseconds(goal.goal_time_tolerance) * 1e-9
             if late < 0 and not np.isclose(late, -1.0):
                 raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL, f"goal_time_tolerance is {late:g} s; expected 0 or more, or -1 (unchecked)"
+                    f"goal_time_tolerance is {late:g} s; expected 0 or more, or -1 (unchecked)"
                 )
             if late:
                 goal_time = max(0.0, late)

@@ -20,10 +20,6 @@ LONGEST_WAIT = 600.0
 _END_VELOCITY = 1e-6  # [1/s]
 
 
-def _invalid(text: str, code: ErrorCode = ErrorCode.INVALID_GOAL) -> InvalidTrajectoryError:
-    return InvalidTrajectoryError(code, text)
-
-
 def _range(limits: CommandedLimits, joint: int) -> str:
     return f"its limits are {limits.lower[joint]:g} to {limits.upper[joint]:g} {limits.units[joint]}"
 
@@ -49,7 +45,7 @@ def check_waypoints(
     """
     columns = _columns(names, limits, allow_partial)
     if not points:
-        raise _invalid("the trajectory has no points")
+        raise InvalidTrajectoryError("the trajectory has no points")
     states, order = _states(names, points)
     times = _times(points)
     limits = limits.select(columns)
@@ -75,7 +71,7 @@ def _columns(names: Sequence[str], limits: CommandedLimits, allow_partial: bool)
         text = f"joints missing: {', '.join(missing)} (allow_partial_joints_goal is false)"
     else:
         return np.array([place[name] for name in names], dtype=np.intp)
-    raise _invalid(text, ErrorCode.INVALID_JOINTS)
+    raise InvalidTrajectoryError(text, ErrorCode.INVALID_JOINTS)
 
 
 def _states(names: Sequence[str], points: Sequence[Point]) -> tuple[FloatArray, Indices]:
@@ -84,17 +80,19 @@ def _states(names: Sequence[str], points: Sequence[Point]) -> tuple[FloatArray, 
     states, order = np.zeros((3, len(points), m)), np.ones(len(points), dtype=np.intp)
     for i, point in enumerate(points):
         if len(point.effort):
-            raise _invalid(f"point {i} carries effort, which this controller does not command")
+            raise InvalidTrajectoryError(f"point {i} carries effort, which this controller does not command")
         for field, target in zip(("positions", "velocities", "accelerations"), states[:, i], strict=True):
             values = getattr(point, field)
             if len(values) == 0 and field != "positions":
                 continue
             if len(values) != m:
-                raise _invalid(f"point {i} has {len(values)} {field}; expected {m}, one a joint")
+                raise InvalidTrajectoryError(f"point {i} has {len(values)} {field}; expected {m}, one a joint")
             target[:] = values
             if not (finite := np.isfinite(target)).all():
                 joint = int(np.argmin(finite))
-                raise _invalid(f"point {i}: {field} of {names[joint]} is {target[joint]}; expected a finite number")
+                raise InvalidTrajectoryError(
+                    f"point {i}: {field} of {names[joint]} is {target[joint]}; expected a finite number"
+                )
         if len(point.velocities):
             order[i] = 5 if len(point.accelerations) else 3
     return states, order
@@ -104,11 +102,11 @@ def _times(points: Sequence[Point]) -> FloatArray:
     """(k,) when the points are reached, one after the other [s]."""
     times = np.array([point.time_from_start for point in points])
     if times[0] < 0:
-        raise _invalid(f"point 0 has time_from_start {times[0]:g} s; expected 0 or more")
+        raise InvalidTrajectoryError(f"point 0 has time_from_start {times[0]:g} s; expected 0 or more")
     later = np.diff(times) > 0
     if not later.all():
         i = int(np.argmin(later))
-        raise _invalid(
+        raise InvalidTrajectoryError(
             f"time_from_start of point {i + 1} ({times[i + 1]:g} s) is not after that of point {i} ({times[i]:g} s)"
         )
     return times
@@ -124,11 +122,11 @@ def _check_states(states: FloatArray, limits: CommandedLimits) -> None:
         if outside.any():
             i, joint = np.argwhere(outside)[0]
             value = f"{values[i, joint]:.4g} {limits.units[joint]}{per}"
-            raise _invalid(f"point {i}: {limits.names[joint]} at {value}; {limit(limits, joint)}")
+            raise InvalidTrajectoryError(f"point {i}: {limits.names[joint]} at {value}; {limit(limits, joint)}")
     if (np.abs(velocities[-1]) > _END_VELOCITY).any():
         joint = int(np.argmax(np.abs(velocities[-1])))
         value = f"{velocities[-1, joint]:.4g} {limits.units[joint]}/s"
-        raise _invalid(f"{limits.names[joint]} has {value} at the last point; expected 0")
+        raise InvalidTrajectoryError(f"{limits.names[joint]} has {value} at the last point; expected 0")
 
 
 def _check_segments(
@@ -168,7 +166,7 @@ def _check_segments(
             most = np.maximum(most, [speeds.max(axis=0), accelerations.max(axis=0)])
             continue
         place = where.format(first + segment, first + segment + 1)
-        raise _invalid(f"{limits.names[joint]} would {value} {place}; {limit}")
+        raise InvalidTrajectoryError(f"{limits.names[joint]} would {value} {place}; {limit}")
     return most[0], most[1]
 
 
@@ -179,7 +177,7 @@ def begin(
     waypoints: Waypoints,
     start: int,
     now: int,
-    state: tuple[FloatArray, FloatArray, FloatArray],
+    state: FloatArray,
     limits: CommandedLimits,
     *,
     error: FloatArray | None = None,
@@ -190,7 +188,7 @@ def begin(
         waypoints: checked.
         start: robot time at which the trajectory begins [ns]; 0: now.
         now: robot time [ns].
-        state: (n,) position, velocity and acceleration commanded now; joints without way-points stay there.
+        state: (3, n) position, velocity and acceleration commanded now; joints without way-points stay there.
         limits: of the controller's joints.
         error: (n,) to within which what has these limits shall follow; None: to within any.
 
@@ -199,7 +197,7 @@ def begin(
             is too jerky for its speed.
     """
     columns = waypoints.columns
-    present, moving = np.array(state)[:, columns], limits.select(columns)
+    present, moving = state[:, columns], limits.select(columns)
     times = (start or now) + np.rint(waypoints.times * 1e9).astype(np.int64)
     first = _next_point(times, start, now)
     if not start and first == 1:
@@ -222,7 +220,7 @@ def begin(
 def _next_point(times: Indices, start: int, now: int) -> int:
     """The first point to be reached after now, of a trajectory that begins when it should."""
     if start - now > LONGEST_WAIT * 1e9:
-        raise _invalid(
+        raise InvalidTrajectoryError(
             f"begins {(start - now) * 1e-9:.4g} s after now ({now * 1e-9:.3f} s of robot time); expected at most "
             f"{LONGEST_WAIT:g} s. Is the header stamped with another clock?"
         )
@@ -231,8 +229,8 @@ def _next_point(times: Indices, start: int, now: int) -> int:
         return first
     if start:
         late = (now - int(times[-1])) * 1e-9
-        raise _invalid(f"the trajectory ended {late:.3f} s ago", ErrorCode.OLD_HEADER_TIMESTAMP)
-    raise _invalid("no time to reach the only point")
+        raise InvalidTrajectoryError(f"the trajectory ended {late:.3f} s ago", ErrorCode.OLD_HEADER_TIMESTAMP)
+    raise InvalidTrajectoryError("no time to reach the only point")
 
 
 def _check_start(point: FloatArray, position: FloatArray, limits: CommandedLimits) -> None:
@@ -240,7 +238,7 @@ def _check_start(point: FloatArray, position: FloatArray, limits: CommandedLimit
     distance = np.abs(point - position)
     if (distance > START_TOLERANCE).any():
         joint = int(np.argmax(distance))
-        raise _invalid(
+        raise InvalidTrajectoryError(
             f"{limits.names[joint]} is {distance[joint]:.3g} {limits.units[joint]} away from the first point, whose "
             f"time_from_start is 0; expected at most {START_TOLERANCE:g}"
         )
@@ -253,7 +251,7 @@ def _check_jumps(speed: FloatArray, acceleration: FloatArray, limits: CommandedL
     if jerky.any():
         joint = int(np.argmax(jerky))
         unit = limits.units[joint]
-        raise _invalid(
+        raise InvalidTrajectoryError(
             f"{limits.names[joint]} would move at {speed[joint]:.3g} {unit}/s with jumps of its velocity, or with more "
             f"than {limits.acceleration[joint]:g} {unit}/s²; its limit is then {highest[joint]:.3g} {unit}/s, so that "
             f"the path tolerance of {error[joint]:g} {unit} can be kept"

@@ -71,31 +71,28 @@ class Trajectory:
         final = limits.position_within(position + velocity * (0.5 * duration))
         return cls((now + knots).tolist(), coefficients, final)
 
-    def sample(self, now: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> None:
-        """Write the state at a robot time [ns] into three (n,) vectors. Time does not run backwards."""
+    def sample(self, now: int, state: FloatArray) -> None:
+        """Write position, velocity and acceleration (3, n) at a robot time [ns], which does not run backwards."""
         knots = self._knots
         if now >= self.end:
-            position[:] = self._final
-            velocity.fill(0.0)
-            acceleration.fill(0.0)
+            state[0], state[1:] = self._final, 0.0
             return
         segment = self._segment
         while now >= knots[segment + 1]:
             segment += 1
         self._segment = segment
-        self._evaluate(segment, now, (position, velocity, acceleration))
+        self._evaluate(segment, now, state)
 
-    def at(self, time: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(n,) position, velocity and acceleration at any robot time [ns]; before its start as at its start."""
-        n = len(self._final)
+    def at(self, time: int) -> FloatArray:
+        """The state (3, n) at any robot time [ns]; before its start as at its start."""
+        state = np.zeros((3, len(self._final)))
         if time >= self.end:
-            return self._final.copy(), np.zeros(n), np.zeros(n)
-        state = (np.empty(n), np.empty(n), np.empty(n))
-        segment = max(0, bisect_right(self._knots, time) - 1)
-        self._evaluate(segment, time, state)
+            state[0] = self._final
+        else:
+            self._evaluate(max(0, bisect_right(self._knots, time) - 1), time, state)
         return state
 
-    def _evaluate(self, segment: int, time: int, state: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+    def _evaluate(self, segment: int, time: int, state: FloatArray) -> None:
         t = max(0, time - self._knots[segment]) * 1e-9
         t2 = t * t
         t3 = t2 * t
@@ -103,7 +100,7 @@ class Trajectory:
         m[0, 1:] = t, t2, t3, t2 * t2, t2 * t3
         m[1, 2:] = 2 * t, 3 * t2, 4 * t3, 5 * t2 * t2
         m[2, 3:] = 6 * t, 12 * t2, 20 * t3
-        state[0][:], state[1][:], state[2][:] = m @ self._coefficients[segment]
+        np.matmul(m, self._coefficients[segment], out=state)
 
     def delay(self, by: int) -> None:
         """Put off what is still to come by a time [ns]."""
