@@ -288,7 +288,6 @@ PROFILE: dict[str, Mutant] = {
     "nothing": Mutant(("description:", "# description:"), "description", "missing"),
 }
 
-
 GET_UP: dict[str, Mutant] = {
     "a joint that the robot has not": Mutant(("l_hip_pitch", "tail"), "face_down.0.joints", "unknown joint 'tail'"),
     "balance by a tail": Mutant(("[l_ankle_pitch,", "[tail,"), "balance.joints", "unknown joint 'tail'"),
@@ -298,9 +297,7 @@ GET_UP: dict[str, Mutant] = {
     "a pitch from more to less": Mutant(("[60, 120]", "[120, 60]"), "face_down.0.pitch", "got 120 to 60"),
     "half a pitch": Mutant(("[60, 120]", "[60]"), "face_down.0.pitch", "length >= 2"),
     "a pose in no time": Mutant(("duration: 1.2", "duration: 0"), "face_down.0.duration", "> 0"),
-    "a pose of nothing": Mutant(
-        ("- name: stretch out\n    duration: 1.2", "- name: stretch out"), "face_down.0.duration", ""
-    ),
+    "a pose of nothing": Mutant(("out\n    duration: 1.2", "out"), "face_down.0.duration", ""),
     "no way up": Mutant(("face_down:", "face_up:"), "face_up", "did you mean"),
     "the roll twice": Mutant(("roll: 30", "roll: 30\nroll: 40"), "roll", "stands twice"),
 }
