@@ -25,17 +25,18 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from struct import Struct
 from typing import Any
 
 import numpy as np
 import psutil
 import zmq
 from rich.console import Console
-from rich.table import Table
 
 import bifrost
+from benchmarks import pathway_floor
 from benchmarks.live_system import started
+from benchmarks.pathway_floor import FLOOR_ACTION, FLOOR_STATE, RATE, STAMP
+from benchmarks.tables import Columns, table
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import JointSetpoints, Statistics
@@ -43,7 +44,6 @@ from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, STATISTIC
 from valor.robot.description import RobotDescription
 
 INSTANCE = "pathways"
-RATE = 250.0  # of the floor's messages, as of /joint_states [Hz]
 PATIENCE = 20.0  # [s]
 SETTLING = 5.0  # after `up` [s]
 PAUSE = 0.35  # between two mode changes or commands [s]
@@ -51,65 +51,9 @@ JOINT, CONTROLLER = "l_wrist_yaw", "left_arm_traj_controller"
 SPEED, SWING = 1.0, 0.2  # of the commanded motion [rad/s], [rad]
 STARTED = 0.001  # a command that has gone so far has begun: what balance adds to it is less [rad]
 MOVED = 0.005  # a joint that has gone so far moves [rad]
-STAMP = Struct("<q")
 MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
-FLOOR_STATE, FLOOR_ACTION = "/floor/joint_states", "/floor/change_control_mode"
 
 Samples = list[float]  # [s]
-
-
-# --- the bare process at the other end of the floor ----------------------------------------------------------------
-
-
-def joint_state(n: int) -> Any:
-    """A message as large as the robot's."""
-    from sensor_msgs.msg import JointState
-
-    zeros = [0.0] * n
-    return JointState(name=[f"l_some_joint_{i}" for i in range(n)], position=zeros, velocity=zeros, effort=zeros)
-
-
-def serve_floor(n: int, size: int) -> None:
-    """Publish both payloads, each with the time of sending in it, and finish every action goal at once."""
-    import rclpy
-    from rclpy.action import ActionServer
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
-    from sensor_msgs.msg import JointState
-    from vigir_humanoid_control_msgs.action import ChangeControlMode
-
-    def execute(handle: Any) -> Any:
-        handle.succeed()
-        return ChangeControlMode.Result()
-
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM ends it, without a word
-    node = rclpy.create_node("floor", enable_rosout=False, start_parameter_services=False)
-    server = ActionServer(node, ChangeControlMode, FLOOR_ACTION, execute)
-    publisher = node.create_publisher(JointState, FLOOR_STATE, 5)
-    message, payload = joint_state(n), bytes(size)
-    socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.PUB)
-    socket.bind("tcp://127.0.0.1:*")
-    print(socket.getsockopt_string(zmq.LAST_ENDPOINT), flush=True)
-
-    def publish() -> None:
-        socket.send(STAMP.pack(time.monotonic_ns()) + payload)
-
-    def publish_ros() -> None:
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.monotonic_ns(), 10**9)
-        publisher.publish(message)
-
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    due = time.monotonic()
-    for send in itertools.cycle((publish, publish_ros)):
-        send()
-        due += 0.5 / RATE
-        while (left := due - time.monotonic()) > 0.0:
-            executor.spin_once(timeout_sec=left)
-    server.destroy()
-
-
-# --- this end ------------------------------------------------------------------------------------------------------
 
 
 class Ears:
@@ -195,12 +139,34 @@ class Row:
     aim: str
     thesis: str
 
+    def of_several(self, figure: Callable[[Samples], float]) -> str:
+        """A figure [ms] that one sample has not."""
+        return f"{figure(self.samples) * 1e3:.2f}" if len(self.samples) > 1 else ""
+
+    @property
+    def median(self) -> float:
+        """[s]."""
+        return float(np.median(self.samples))
+
+
+COLUMNS: Columns[Row] = (
+    ("pathway", lambda row: row.pathway),
+    ("median", lambda row: f"{row.median * 1e3:.2f}"),
+    ("95 %", lambda row: row.of_several(lambda samples: float(np.quantile(samples, 0.95)))),
+    ("max", lambda row: row.of_several(max)),
+    ("count", lambda row: str(len(row.samples))),
+    ("floor", lambda row: "–" if row.floor is None else f"{row.floor * 1e3:.2f}"),
+    ("median / floor", lambda row: "–" if row.floor is None else f"{row.median / row.floor:.1f}"),
+    ("aim", lambda row: row.aim),
+    ("thesis", lambda row: row.thesis),
+)
+
 
 def measure_floor(ears: Ears, robot: RobotDescription, seconds: float) -> tuple[float, float, float]:
     """Medians [s]: one way over pyzmq, one way over rclpy, an action from goal to result."""
     n = len(robot.joints)
     size = 8 * (3 * n + 40)  # about a Proprioceptor
-    command = [sys.executable, __file__, "--floor", str(n), str(size)]
+    command = [sys.executable, pathway_floor.__file__, str(n), str(size)]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert child.stdout is not None
@@ -399,37 +365,16 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of state, and of floor")
     parser.add_argument("--changes", type=int, default=40, help="of the control mode")
     parser.add_argument("--commands", type=int, default=40, help="of a joint")
-    parser.add_argument("--floor", nargs=2, type=int, help=argparse.SUPPRESS)
     parser.add_argument("up", nargs="*", help="options of `valorctl up`, after --")
     options = parser.parse_args()
-    if options.floor:
-        serve_floor(*options.floor)
-        return
     load = os.getloadavg()[0]
     try:
         rows, costs = measure(options)
     except ValorError as error:
         sys.exit(str(error))
     console = Console(width=130)
-    table = Table(
-        title=f"Pathways [ms], load {load:.1f} before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores"
-    )
-    for heading in ("pathway", "median", "95 %", "max", "count", "floor", "median / floor", "aim", "thesis"):
-        table.add_column(heading, justify="left" if heading == "pathway" else "right")
-    for row in (row for row in rows if row.samples):
-        samples = np.array(row.samples) * 1e3
-        median = float(np.median(samples))
-        floor = ("–", "–") if row.floor is None else (f"{row.floor * 1e3:.2f}", f"{median / row.floor / 1e3:.1f}")
-        table.add_row(
-            row.pathway,
-            f"{median:.2f}",
-            *((f"{np.quantile(samples, 0.95):.2f}", f"{samples.max():.2f}") if len(samples) > 1 else ("", "")),
-            str(len(samples)),
-            *floor,
-            row.aim,
-            row.thesis,
-        )
-    console.print(table)
+    title = f"Pathways [ms], load {load:.1f} before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores"
+    console.print(table(title, COLUMNS, (row for row in rows if row.samples), left=["pathway"]))
     console.print("valor_ros_controller: " + ", ".join(f"{name} {value:.1f}" for name, value in costs.items()))
 
 

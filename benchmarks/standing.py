@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.live_system import started, valorctl
+from benchmarks.tables import Columns, table
 from valor.analysis.pace import Pace
 from valor.bags import recordings
 from valor.common.errors import ValorError
@@ -53,6 +55,11 @@ class Run:
     pace: Pace
     cpu: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     memory: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+
+    def misses(self) -> str:
+        """How many of the Motion Manager's ticks took longer than a period."""
+        misses, cycles = self.overruns["motion_manager"], self.cycles["motion_manager"]
+        return f"{misses} of {cycles} ({100 * misses / max(1, cycles):.2f} %)"
 
 
 def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
@@ -113,6 +120,54 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
     )
 
 
+RUN: Columns[Run] = (("clock", lambda run: run.clock), ("seed", lambda run: str(run.seed)))
+TICKS: Columns[Run] = (
+    *RUN,
+    ("tick median [ms]", lambda run: f"{np.median(run.ticks) * 1e3:.3f}"),
+    ("p99", lambda run: f"{np.percentile(run.ticks, 99) * 1e3:.3f}"),
+    ("max", lambda run: f"{run.ticks.max() * 1e3:.2f}"),
+    ("to Motor [ms]", lambda run: f"{np.median(run.motors) * 1e3:.3f}"),
+    ("p99", lambda run: f"{np.percentile(run.motors, 99) * 1e3:.3f}"),
+    ("misses of 2 ms", lambda run: run.misses()),
+    ("pelvis height ± [mm]", lambda run: f"{np.ptp(run.height) * 500:.2f}"),
+    ("drift [mm]", lambda run: f"{run.drift * 1e3:.2f}"),
+    ("behavior", lambda run: run.status["behavior"]),
+    ("load", lambda run: f"{run.load:.1f}"),
+)
+PACE: Columns[Run] = (
+    *RUN,
+    ("real-time factor", lambda run: f"{run.pace.factor:.3f}"),
+    ("of the worst second", lambda run: f"{run.pace.worst_second:.3f}"),
+    ("of the last second", lambda run: f"{run.status['clock']['real_time_factor']:.3f}"),
+    ("since start", lambda run: f"{run.status['clock']['real_time_factor_since_start']:.3f}"),
+    ("slip since start [s]", lambda run: f"{run.status['clock']['slip_s']:.2f}"),
+    ("period median [ms]", lambda run: f"{np.median(run.pace.periods) * 1e3:.3f}"),
+    ("p99", lambda run: f"{np.percentile(run.pace.periods, 99) * 1e3:.3f}"),
+    ("max", lambda run: f"{run.pace.periods.max() * 1e3:.1f}"),
+    ("periods > 2.2 ms", lambda run: f"{100 * np.mean(run.pace.periods > 1.1 * run.pace.nominal):.2f} %"),
+    ("> 4 ms: lost [s]", lambda run: f"{run.pace.lost_beyond(2.0 * run.pace.nominal):.2f}"),
+)
+
+
+def _processes(runs: list[Run]) -> Table:
+    """CPU, memory and restarts of every process, over all runs."""
+
+    def mean(samples: Iterable[list[float]]) -> float:
+        return float(np.mean(np.concatenate(list(samples))))
+
+    def restarts(name: str) -> int:
+        return sum(entry["restarts"] for run in runs for entry in run.status["services"] if entry["name"] == name)
+
+    columns: Columns[str] = (
+        ("process", str),
+        ("CPU [% of a core]", lambda name: f"{mean(run.cpu[name] for run in runs):.1f}"),
+        ("memory [MiB]", lambda name: f"{mean(run.memory[name] for run in runs):.0f}"),
+        ("restarts", lambda name: str(restarts(name))),
+    )
+    names = (entry["name"] for entry in runs[0].status["services"])
+    return table("Processes, mean over the runs", columns, names, left=["process"])
+
+
 def main() -> None:
     """Measure every case and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -131,65 +186,10 @@ def main() -> None:
                 except ValorError as error:
                     sys.exit(str(error))
 
-    table = Table(title=f"Standing for {arguments.seconds:g} s at 500 Hz, {os.cpu_count()} cores")
-    for heading in ("clock", "seed", "tick median [ms]", "p99", "max", "to Motor [ms]", "p99",
-                    "misses of 2 ms",
-                    "pelvis height ± [mm]", "drift [mm]", "behavior", "load"):  # fmt: skip
-        table.add_column(heading, justify="right")
-    for run in runs:
-        milliseconds = run.ticks * 1e3
-        misses, cycles = run.overruns["motion_manager"], run.cycles["motion_manager"]
-        table.add_row(
-            run.clock,
-            str(run.seed),
-            f"{np.median(milliseconds):.3f}",
-            f"{np.percentile(milliseconds, 99):.3f}",
-            f"{milliseconds.max():.2f}",
-            f"{np.median(run.motors) * 1e3:.3f}",
-            f"{np.percentile(run.motors, 99) * 1e3:.3f}",
-            f"{misses} of {cycles} ({100 * misses / max(1, cycles):.2f} %)",
-            f"{np.ptp(run.height) * 500:.2f}",
-            f"{run.drift * 1e3:.2f}",
-            run.status["behavior"],
-            f"{run.load:.1f}",
-        )
-    console.print(table)
-
-    table = Table(title="Robot time against the wall's")
-    for heading in ("clock", "seed", "real-time factor", "of the worst second", "of the last second", "since start",
-                    "slip since start [s]", "period median [ms]", "p99", "max",
-                    "periods > 2.2 ms", "> 4 ms: lost [s]"):  # fmt: skip
-        table.add_column(heading, justify="right")
-    for run in runs:
-        pace, clock = run.pace, run.status["clock"]
-        milliseconds = pace.periods * 1e3
-        table.add_row(
-            run.clock,
-            str(run.seed),
-            f"{pace.factor:.3f}",
-            f"{pace.worst_second:.3f}",
-            f"{clock['real_time_factor']:.3f}",
-            f"{clock['real_time_factor_since_start']:.3f}",
-            f"{clock['slip_s']:.2f}",
-            f"{np.median(milliseconds):.3f}",
-            f"{np.percentile(milliseconds, 99):.3f}",
-            f"{milliseconds.max():.1f}",
-            f"{100 * np.mean(pace.periods > 1.1 * pace.nominal):.2f} %",
-            f"{pace.lost_beyond(2.0 * pace.nominal):.2f}",
-        )
-    console.print(table)
-
-    table = Table(title="Processes, mean over the runs")
-    for heading in ("process", "CPU [% of a core]", "memory [MiB]", "restarts"):
-        table.add_column(heading, justify="left" if heading == "process" else "right")
-    for service in (entry["name"] for entry in runs[0].status["services"]):
-        table.add_row(
-            service,
-            f"{np.mean(np.concatenate([run.cpu[service] for run in runs])):.1f}",
-            f"{np.mean(np.concatenate([run.memory[service] for run in runs])):.0f}",
-            str(sum(entry["restarts"] for run in runs for entry in run.status["services"] if entry["name"] == service)),
-        )
-    console.print(table)
+    title = f"Standing for {arguments.seconds:g} s at 500 Hz, {os.cpu_count()} cores"
+    console.print(table(title, TICKS, runs))
+    console.print(table("Robot time against the wall's", PACE, runs))
+    console.print(_processes(runs))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
-sys.path.insert(0, os.environ.get("TICK_CHECKOUT", str(Path(__file__).parents[1])))  # before the installed one
+sys.path.insert(0, str(Path(__file__).parents[1]))  # before the installed one
 
 import numpy as np
 
@@ -38,7 +38,7 @@ ESTIMATES = ("pelvis_position_in_odom", "pelvis_orientation_in_odom", "dcm_in_od
 def main() -> None:
     """Lead, or answer the one who does."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("other", type=Path, help="a checkout; its Python environment is this one's")
+    parser.add_argument("other", type=Path, help="a checkout with this file; its Python environment is this one's")
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
     parser.add_argument("--seconds", type=float, default=8.0, help="of each part")
@@ -47,13 +47,12 @@ def main() -> None:
     if options.serve:
         serve(Ticker(options.robot, options.profile), sys.stdin.buffer, sys.stdout.buffer)
         return
-    command = [sys.executable, __file__, "--serve", "--robot", options.robot, "--profile", options.profile, "."]
+    serving = ["--serve", "--robot", options.robot, "--profile", options.profile, "."]
     with ExitStack() as stack:
         peers = [
             stack.enter_context(
                 subprocess.Popen(
-                    command,
-                    env=os.environ | {"TICK_CHECKOUT": str(checkout.resolve())},
+                    [sys.executable, str(checkout.resolve() / "benchmarks" / Path(__file__).name), *serving],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                 )

@@ -25,9 +25,9 @@ from typing import Any, Self
 import msgspec
 import yaml
 from rich.console import Console
-from rich.table import Table
 
 from benchmarks.live_system import running
+from benchmarks.tables import Columns, table
 from benchmarks.walking_actions import (
     ROBOT,
     Action,
@@ -159,43 +159,37 @@ def robot_with(tables: dict[str, dict[str, object]], folder: Path) -> Path:
         shutil.copytree(ROBOT, robot)
     path = robot / "robot.yaml"
     content: Any = Document.load(ROBOT / "robot.yaml").content
-    for table, values in tables.items():
-        content[table] = {**content.get(table, {}), **values}
+    for name, values in tables.items():
+        content[name] = {**content.get(name, {}), **values}
     path.write_text(yaml.safe_dump(content, sort_keys=False))
     return robot
 
 
+COLUMNS: Columns[Run] = (
+    ("row", lambda run: run.row),
+    ("seed", lambda run: str(run.seed)),
+    ("result", lambda run: run.failure or "ok"),
+    ("true x, y [m]", lambda run: f"{run.way[0]:.2f}, {run.way[1]:.2f}"),
+    ("turned", lambda run: f"{run.way[2]:.2f}"),
+    ("time [s]", lambda run: f"{run.figures.duration:.1f}"),
+    ("speed", lambda run: f"{run.figures.speed:.2f}"),
+    ("DCM rms x, y, z [mm]", lambda run: ", ".join(f"{1e3 * each:.0f}" for each in run.figures.dcm_error)),
+    ("knee", lambda run: f"{run.figures.knee:.2f}"),
+    ("clamped", lambda run: str(run.figures.saturations)),
+    ("Fz rms / median [N]", lambda run: f"{run.figures.force_error:.0f} / {run.figures.force_error_median:.1f}"),
+    ("QP failures", lambda run: str(run.figures.qp_failures)),
+    ("tick / p99 [ms]", lambda run: f"{1e3 * run.figures.tick_median:.2f} / {1e3 * run.figures.tick_99:.2f}"),
+    ("missed", lambda run: f"{run.timeliness['overruns']:.0f}"),
+    ("timed out", lambda run: f"{run.timeliness['waits_timed_out']:.0f}"),
+    ("slip [s]", lambda run: f"{run.timeliness['slip']:.2f}"),
+    ("RTF", lambda run: f"{run.timeliness['real_time_factor']:.2f}"),
+    ("load", lambda run: f"{run.load:.1f}"),
+)
+
+
 def show(runs: list[Run], console: Console) -> None:
     """One table, a line a run."""
-    table = Table(title=f"Walking at 500 Hz, {os.cpu_count()} cores")
-    for heading in ("row", "seed", "result", "true x, y [m]", "turned", "time [s]", "speed", "DCM rms x, y, z [mm]",
-                    "knee", "clamped", "Fz rms / median [N]", "QP failures", "tick / p99 [ms]", "missed", "timed out",
-                    "slip [s]", "RTF", "load"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading in ("row", "result") else "right")
-    for run in runs:
-        x, y, turned = run.way
-        f, late = run.figures, run.timeliness
-        table.add_row(
-            run.row,
-            str(run.seed),
-            run.failure or "ok",
-            f"{x:.2f}, {y:.2f}",
-            f"{turned:.2f}",
-            f"{f.duration:.1f}",
-            f"{f.speed:.2f}",
-            ", ".join(f"{1e3 * each:.0f}" for each in f.dcm_error),
-            f"{f.knee:.2f}",
-            str(f.saturations),
-            f"{f.force_error:.0f} / {f.force_error_median:.1f}",
-            str(f.qp_failures),
-            f"{1e3 * f.tick_median:.2f} / {1e3 * f.tick_99:.2f}",
-            f"{late['overruns']:.0f}",
-            f"{late['waits_timed_out']:.0f}",
-            f"{late['slip']:.2f}",
-            f"{late['real_time_factor']:.2f}",
-            f"{run.load:.1f}",
-        )
-    console.print(table)
+    console.print(table(f"Walking at 500 Hz, {os.cpu_count()} cores", COLUMNS, runs, left=["row", "result"]))
 
 
 def summary(runs: list[Run]) -> Iterator[str]:

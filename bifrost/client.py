@@ -13,9 +13,9 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.discovery import Discovery
 from bifrost.encoding import codec
 from bifrost.errors import Error, NoServerError, RemoteError, SchemaError, TimeoutError
-from bifrost.member import Member
 from bifrost.messages import M, Message
 from bifrost.neighbors import Peer
 
@@ -40,24 +40,24 @@ class Client(Generic[M, R]):
     A thread that may wait uses ``call``. A loop that may not uses ``ask``, ``bifrost.wait`` and ``answer``.
     """
 
-    def __init__(self, node: Member, topic: str, request: type[M], reply: type[R]) -> None:
+    def __init__(self, discovery: Discovery, topic: str, request: type[M], reply: type[R]) -> None:
         self.topic = topic
-        self._node = node
+        self._discovery = discovery
         self._request_type = request
         self._request, self._reply = codec(request), codec(reply)
         self._hashes = (self._request.hash.hex(), self._reply.hash.hex())
         self._prefix = topic.encode() + b"\0"
         self._computer = wire.computer_id()
-        self._origin = node.name.encode()
+        self._origin = discovery.name.encode()
         self._request_id = secrets.randbits(63)  # no two clients, nor two runs of one, count alike
         self._socket: zmq.Socket[bytes] | None = None
         self._endpoint = ""
         self._closed = False
         self._asked: _Asked | None = None
         self._answer: R | Exception | None = None
-        self._watch = node.discovery.watch("server", topic, notify=lambda: None)
+        self._watch = discovery.watch("server", topic, notify=lambda: None)
         entry = Entry("client", topic, (self._request.name, self._reply.name), self._hashes)
-        self._key = node.discovery.announce(entry, [self._request.schema, self._reply.schema])
+        self._key = discovery.announce(entry, [self._request.schema, self._reply.schema], self)
 
     def call(self, request: M, timeout: float = 1.0) -> R:
         """Send a request and wait for its reply.
@@ -143,16 +143,15 @@ class Client(Generic[M, R]):
 
     def wait_for_server(self, timeout: float) -> bool:
         """Wait until somebody serves the topic; False after ``timeout`` [s]."""
-        return self._node.discovery.wait_change(lambda: bool(self._watch.peers), timeout)
+        return self._discovery.wait_change(lambda: bool(self._watch.peers), timeout)
 
     def close(self) -> None:
         """Withdraw the client and close its socket."""
         if not self._closed:
             self._closed = True
-            self._node.discovery.unwatch(self._watch)
-            self._node.discovery.withdraw(self._key)
+            self._discovery.unwatch(self._watch)
+            self._discovery.withdraw(self._key)
             self._disconnect()
-            self._node.forget(self)
 
     def _wait(self, asked: _Asked) -> None:
         """Wait until an open question may go on."""
@@ -209,14 +208,14 @@ class Client(Generic[M, R]):
             return TimeoutError(f"{self.topic}: no reply from {asked.server.node} {within}")
         if peers:
             return TimeoutError(f"{self.topic}: no connection to {peers[-1].node} {within}")
-        daemon = "" if self._node.discovery.connected else f"; {self._node.daemon_silent}"
+        daemon = "" if self._discovery.connected else f"; {self._discovery.daemon_silent}"
         return NoServerError(f"{self.topic}: no server {within}{daemon}")
 
     def _check(self, peer: Peer) -> None:
         if peer.entry.hashes != self._hashes:
             raise SchemaError(
                 f"{self.topic}: {peer.node} serves {' -> '.join(peer.entry.types)} "
-                f"({' -> '.join(peer.entry.hashes)}), {self._node.name} asks with "
+                f"({' -> '.join(peer.entry.hashes)}), {self._discovery.name} asks with "
                 f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
             )
 
@@ -225,10 +224,10 @@ class Client(Generic[M, R]):
         if self._socket is not None and endpoint == self._endpoint:
             return self._socket
         self._disconnect()
-        socket = self._node.discovery.connecting_socket(zmq.DEALER)
+        socket = self._discovery.connecting_socket(zmq.DEALER)
         socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a server that is not there
         try:
-            self._node.discovery.connect(socket, entry)
+            self._discovery.connect(socket, entry)
         except zmq.ZMQError as error:  # a member has registered what is no address
             socket.close()
             raise NoServerError(f"{self.topic}: cannot connect to {endpoint!r}: {error.strerror}") from None

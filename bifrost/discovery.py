@@ -13,6 +13,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
 
 import msgspec
 import zmq
@@ -24,14 +26,29 @@ from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
 from bifrost.schema import Schema
 from bifrost.security import Gate
+from bifrost.wakes import Wakes
 
 # Between two registrations, each of which tells all nodes of everything that this one has; for each of its entries [s].
 _REST = 1e-4
 _PATIENCE = 0.3  # with a daemon, until those that the last one knew are looked up on disk [s]
 _WARNINGS = 20  # of what others may not have, at most
 _log = logging.getLogger("bifrost")
-_WAKE_ENDPOINT = "inproc://bifrost.wake"
 Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
+
+
+class Closable(Protocol):
+    """What has announced an entry, and ends with its node."""
+
+    def close(self) -> None:
+        """Give back everything; withdraws the entry."""
+
+
+@dataclass(frozen=True)
+class _Announced:
+    entry: d.Entry
+    schemas: dict[str, Schema]  # by hash
+    owner: Closable | None
+    counter: Counter | None
 
 
 class Discovery:
@@ -50,13 +67,9 @@ class Discovery:
         self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), here, time.monotonic_ns())
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
-        self._entries: dict[int, d.Entry] = {}
-        self._schemas: dict[int, dict[str, Schema]] = {}  # by key of the entry
-        self._counters: dict[int, Counter] = {}
+        self._announced: dict[int, _Announced] = {}  # by key
         self._counts_told: list[d.Count] = []
         self._next_key = 0
-        self._wakes: set[str] = set()  # topics whose subscribers must look at their watch
-        self._later: list[tuple[float, str]] = []  # when, monotonic [s], to wake whose subscribers
         self._errands: deque[Callable[[], None]] = deque()  # for the thread
         self._attended: dict[int, Callable[[], None]] = {}
         self._poller = zmq.Poller()
@@ -69,10 +82,7 @@ class Discovery:
         self._recall_at = time.monotonic() + _PATIENCE if recall else float("inf")
         self._context = context
         self._gate = Gate(context, network)
-        self._wake = context.socket(zmq.XPUB)
-        self._wake.setsockopt(zmq.LINGER, 0)
-        self._wake.setsockopt(zmq.XPUB_VERBOSE, 1)
-        self._wake.bind(_WAKE_ENDPOINT)
+        self._wakes = Wakes(context)
         self._poke = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._daemon = self.connecting_socket(zmq.DEALER)
         security.connect(self._daemon, network.computer.daemon, network.daemon_key)
@@ -94,18 +104,20 @@ class Discovery:
         security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
 
     def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
-        """Let the thread wake a subscriber: it publishes the bare topic when its publishers change."""
-        socket.connect(_WAKE_ENDPOINT)
+        """Let the thread wake a subscriber when its publishers change."""
+        self._wakes.connect(socket)
 
-    def announce(self, entry: d.Entry, schemas: Iterable[Schema], counter: Counter | None = None) -> int:
-        """Tell the network of an entry, and from time to time of its counters; returns the key for ``withdraw``."""
-        described = {schema.digest().hex(): schema for schema in schemas}
+    def announce(
+        self, entry: d.Entry, schemas: Iterable[Schema], owner: Closable | None = None, counter: Counter | None = None
+    ) -> int:
+        """Tell the network of an entry, and from time to time of its counters; returns the key for ``withdraw``.
+
+        ``owner`` is closed with the node, unless it has withdrawn the entry.
+        """
+        announced = _Announced(entry, {schema.digest().hex(): schema for schema in schemas}, owner, counter)
         with self._lock:
             self._next_key += 1
-            self._entries[self._next_key] = entry
-            self._schemas[self._next_key] = described
-            if counter is not None:
-                self._counters[self._next_key] = counter
+            self._announced[self._next_key] = announced
             self._neighbors.add_own(self._bare_record, entry)
             self._own_changed()
             return self._next_key
@@ -113,11 +125,9 @@ class Discovery:
     def withdraw(self, key: int) -> None:
         """Take an entry back."""
         with self._lock:
-            entry = self._entries.pop(key, None)
-            if entry is not None:
-                self._schemas.pop(key)
-                self._counters.pop(key, None)
-                self._neighbors.remove_own(entry)
+            announced = self._announced.pop(key, None)
+            if announced is not None:
+                self._neighbors.remove_own(announced.entry)
                 self._own_changed()
 
     def watch(self, kind: d.Kind, topic: str, notify: Callable[[], None] | None = None) -> Watch:
@@ -141,14 +151,12 @@ class Discovery:
 
     def wake(self, topic: str) -> None:
         """Wake the topic's subscribers of this node, wherever they wait."""
-        with self._lock:
-            self._wakes.add(topic)
+        self._wakes.add(topic)
         self._poke_thread()
 
     def wake_at(self, topic: str, when: float) -> None:
         """Wake the topic's subscribers at a time [s, monotonic], or a heartbeat later."""
-        with self._lock:
-            self._later.append((when, topic))
+        self._wakes.add_at(topic, when)
 
     def attend(self, descriptor: int, callback: Callable[[], None]) -> None:
         """Have the thread call back whenever a descriptor is readable."""
@@ -173,8 +181,19 @@ class Discovery:
     def schema(self, digest: str) -> Schema | None:
         """The schema of a hash (hexadecimal), if any node has registered it."""
         with self._lock:
-            own = (each[digest] for each in self._schemas.values() if digest in each)
+            own = (each.schemas[digest] for each in self._announced.values() if digest in each.schemas)
             return next(own, None) or self._neighbors.schema(digest)
+
+    @property
+    def owners(self) -> list[Closable]:
+        """All that have announced an entry and not withdrawn it."""
+        with self._lock:
+            return [each.owner for each in self._announced.values() if each.owner is not None]
+
+    @property
+    def daemon_silent(self) -> str:
+        """What to tell a person when the daemon does not answer."""
+        return f"bifrostd at {self.network.computer.daemon} does not answer"
 
     @property
     def connected(self) -> bool:
@@ -204,8 +223,11 @@ class Discovery:
         self._poke_thread()
 
     def _record(self) -> d.NodeRecord:
-        schemas = {digest: schema for described in self._schemas.values() for digest, schema in described.items()}
-        return msgspec.structs.replace(self._bare_record, entries=tuple(self._entries.values()), schemas=schemas)
+        announced = self._announced.values()
+        schemas = {digest: schema for each in announced for digest, schema in each.schemas.items()}
+        return msgspec.structs.replace(
+            self._bare_record, entries=tuple(each.entry for each in announced), schemas=schemas
+        )
 
     def _refresh(self) -> None:
         self._neighbors.refresh()
@@ -217,7 +239,7 @@ class Discovery:
         os.eventfd_write(self._poke, 1)
 
     def _run(self) -> None:
-        for socket in (self._gate.socket, self._daemon, self._wake, self._poke):
+        for socket in (self._gate.socket, self._daemon, self._wakes.socket, self._poke):
             self._poller.register(socket, zmq.POLLIN)
         next_heartbeat = 0.0
         try:
@@ -236,8 +258,8 @@ class Discovery:
                     self._gate.answer()
                 if self._poke in ready:
                     os.eventfd_read(self._poke)
-                if self._wake in ready:
-                    self._receive_subscriptions()
+                if self._wakes.socket in ready:
+                    self._wakes.receive()
                 if self._daemon in ready:
                     self._receive_from_daemon()
                 for descriptor in ready.keys() & self._attended.keys():
@@ -245,7 +267,7 @@ class Discovery:
                 self._run_errands()
                 self._forget_departed()
                 self._register_if_dirty()
-                self._send_wakes()
+                self._wakes.send()
         finally:
             self._run_errands()
             self._leave()
@@ -273,7 +295,7 @@ class Discovery:
 
     def _counts(self) -> list[d.Count]:
         with self._lock:
-            counters = [(self._entries[key], counter) for key, counter in self._counters.items()]
+            counters = [(each.entry, each.counter) for each in self._announced.values() if each.counter is not None]
         return [d.Count(entry.kind, entry.topic, *counter()) for entry, counter in counters]
 
     def _register_if_dirty(self) -> None:
@@ -287,29 +309,6 @@ class Discovery:
         if not self._send(d.Register(record)):
             self._dirty = True
             self._next_registration = now + d.HEARTBEAT_PERIOD
-
-    def _receive_subscriptions(self) -> None:
-        """A subscriber has subscribed to the wake socket: wake it, lest it has missed an earlier wake."""
-        while True:
-            try:
-                frame = self._wake.recv(zmq.NOBLOCK)
-            except zmq.Again:
-                return
-            if frame[:1] == b"\x01":
-                with self._lock:
-                    self._wakes.add(frame[1:-1].decode())
-
-    def _send_wakes(self) -> None:
-        with self._lock:
-            if self._later:
-                now = time.monotonic()
-                self._wakes |= {topic for when, topic in self._later if when <= now}
-                self._later = [(when, topic) for when, topic in self._later if when > now]
-            if not self._wakes:
-                return
-            wakes, self._wakes = self._wakes, set()
-        for topic in wakes:
-            self._wake.send(topic.encode() + b"\0", zmq.NOBLOCK)
 
     def _receive_from_daemon(self) -> None:
         while True:
@@ -382,5 +381,5 @@ class Discovery:
             self._daemon.setsockopt(zmq.LINGER, 200)
             self._send(d.Leave(self.incarnation))
         self._daemon.close()
-        self._wake.close()
+        self._wakes.socket.close()
         self._gate.close()

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import threading
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import zmq
 
+from bifrost import security, wire
 from bifrost.client import Client
+from bifrost.discovery import Discovery
 from bifrost.encoding import codec
-from bifrost.errors import Error
+from bifrost.errors import Error, TimeoutError
+from bifrost.graph import Graph
 from bifrost.limits import Limit
-from bifrost.member import Member
 from bifrost.messages import M, Message
 from bifrost.network import Network
 from bifrost.publisher import Latch, Outlet, Publisher
@@ -19,12 +23,18 @@ from bifrost.server import Server
 from bifrost.subscriber import Drop, Subscriber
 
 R = TypeVar("R", bound=Message)
+_NAME = re.compile(r"[A-Za-z0-9_.~-]+(/[A-Za-z0-9_.~-]+)*")
 
 
-class Node(Member):
+class Node:
     """Publishes, subscribes, serves and calls under one name. A context manager.
 
     It needs no daemon to start: it is found, and finds others, as soon as one runs.
+
+    Attributes:
+        name: what others see as origin.
+        network: that it has joined.
+        discovery: finds others, and lets this be found.
     """
 
     def __init__(self, name: str, network: Network | None = None, *, recall: bool = False) -> None:
@@ -40,8 +50,20 @@ class Node(Member):
             ConfigurationError: the network file or the keys are missing or wrong.
             ValueError: no name for a node.
         """
-        super().__init__(name, network, recall)
+        _check_name("node", name)
+        self.name = name
+        self.network = network or Network.from_environment()
+        self._lock = threading.Lock()
+        self._context = security.new_context()
         self._outlet: Outlet | None = None
+        self._closed = False
+        self.discovery = Discovery(self._context, self.network, name, recall)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
     def publisher(self, topic: str, message_type: type[M], latched: bool = False) -> Publisher[M]:
         """Publish on a topic.
@@ -63,13 +85,12 @@ class Node(Member):
         if latched:
             codec(message_type)  # a type that no message can have is refused before anything is opened
             latch = Latch(self.discovery.listening_socket(zmq.XPUB), host, topic, self.discovery)
-            return self._keep(Publisher(self, latch, topic, message_type))
+            return Publisher(self.discovery, latch, topic, message_type)
         with self._lock:
             if self._outlet is None:
                 self._outlet = Outlet(self.discovery.listening_socket(zmq.PUB), host)
-                self._shared.append(self._outlet.socket)
             outlet = self._outlet
-        return self._keep(Publisher(self, outlet, topic, message_type))
+        return Publisher(self.discovery, outlet, topic, message_type)
 
     def subscriber(
         self,
@@ -97,12 +118,12 @@ class Node(Member):
             raise ValueError(f"{topic}: drop: expected newest or oldest, got {drop!r}")
         if drop == "oldest" and queue is None:
             raise ValueError(f"{topic}: drop: expected a queue to drop the oldest of")
-        return self._keep(Subscriber(self, topic, message_type, queue, drop, limit=limit))
+        return Subscriber(self.discovery, topic, message_type, queue, drop, limit=limit)
 
     def subscribe_any(self, topic: str, queue: int | None = None) -> Subscriber[Message]:
         """Subscribe to a topic whatever its type: decoded by the schema that its publisher has registered."""
         self._check(topic)
-        return self._keep(Subscriber[Message](self, topic, None, queue))
+        return Subscriber[Message](self.discovery, topic, None, queue)
 
     def server(
         self,
@@ -121,13 +142,52 @@ class Node(Member):
         """
         self._check(topic)
         self._check_grant("server", topic)
-        return self._keep(Server(self, topic, request, reply, handler, limit=limit))
+        return Server(self.discovery, topic, request, reply, handler, limit=limit)
 
     def client(self, topic: str, request: type[M], reply: type[R]) -> Client[M, R]:
         """Call the server of a topic."""
         self._check(topic)
-        return self._keep(Client(self, topic, request, reply))
+        return Client(self.discovery, topic, request, reply)
+
+    def graph(self, timeout: float = 2.0) -> Graph:
+        """Who publishes, subscribes to, serves and calls what now.
+
+        Raises:
+            TimeoutError: the daemon has not answered within ``timeout`` [s].
+        """
+        if not self.discovery.wait_change(lambda: self.discovery.registered, timeout):
+            raise TimeoutError(f"{self.discovery.daemon_silent} (waited {timeout:g} s)")
+        return Graph.from_records(self.discovery.records())
+
+    def close(self) -> None:
+        """Leave the network; close all that was made of this node. May be called twice.
+
+        What was made of it must not be in use by another thread.
+        """
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        for owner in self.discovery.owners:
+            owner.close()
+        self.discovery.close()
+        if self._outlet is not None:
+            self._outlet.socket.close()
+        self._context.term()
+
+    def _check(self, topic: str) -> None:
+        if self._closed:
+            raise Error(f"node {self.name} is closed")
+        _check_name("topic", topic)
 
     def _check_grant(self, kind: str, topic: str) -> None:
         if refusal := self.network.grants.refusal(self.name, kind, topic, self.network.owner):
             raise Error(refusal)
+
+
+def _check_name(what: str, name: str) -> None:
+    if not _NAME.fullmatch(name) or len(name) > wire.MAX_NAME:
+        raise ValueError(
+            f"{what} name {name!r}: expected letters, digits, _, ., ~ and -, in parts separated by /, "
+            f"at most {wire.MAX_NAME}"
+        )

@@ -15,7 +15,6 @@ from bifrost.directory import Entry
 from bifrost.discovery import Discovery
 from bifrost.encoding import codec
 from bifrost.errors import Error
-from bifrost.member import Member
 from bifrost.messages import M
 
 _NOBLOCK = int(zmq.NOBLOCK)
@@ -103,9 +102,9 @@ class Latch(Outlet):
 class Publisher(Generic[M]):
     """Publishes messages of one type on one topic. Made by ``Node.publisher``."""
 
-    def __init__(self, node: Member, outlet: Outlet, topic: str, message_type: type[M]) -> None:
+    def __init__(self, discovery: Discovery, outlet: Outlet, topic: str, message_type: type[M]) -> None:
         self.topic = topic
-        self._node = node
+        self._discovery = discovery
         self._codec = codec(message_type)
         self._encode_into = self._codec.encode_into
         self._type = message_type
@@ -113,7 +112,7 @@ class Publisher(Generic[M]):
         self._send = outlet.send
         self._sequence = 0
         incarnation = secrets.randbits(64)  # a publisher made anew is no gap in the sequence
-        origin = node.name.encode()
+        origin = discovery.name.encode()
         constant = topic.encode() + b"\0" + wire.PUBLICATION_CONSTANT.pack(wire.VERSION, self._codec.hash, incarnation)
         # One buffer for all messages: of each, what differs is written over the last. ZeroMQ takes a copy.
         self._frame = bytearray(constant + bytes(wire.PUBLICATION_VARIABLE.size) + bytes([len(origin)]) + origin)
@@ -121,9 +120,9 @@ class Publisher(Generic[M]):
         self._pack_into = wire.PUBLICATION_VARIABLE.pack_into
         self._closed = False
         latched = isinstance(outlet, Latch)
-        key = node.network.own_key
+        key = discovery.network.own_key
         entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint, latched, key)
-        self._key = node.discovery.announce(entry, [self._codec.schema], lambda: (self._sequence, 0, 0))
+        self._key = discovery.announce(entry, [self._codec.schema], self, lambda: (self._sequence, 0, 0))
 
     def publish(self, message: M) -> int:
         """Send a message to whoever subscribes; never blocks. Returns its sequence number, from 1.
@@ -158,7 +157,6 @@ class Publisher(Generic[M]):
         """Withdraw the topic."""
         if not self._closed:
             self._closed = True
-            self._node.discovery.withdraw(self._key)
+            self._discovery.withdraw(self._key)
             if isinstance(self._outlet, Latch):
                 self._outlet.close()
-            self._node.forget(self)

@@ -13,17 +13,18 @@ import zmq
 
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.discovery import Discovery
 from bifrost.encoding import codec
 from bifrost.limits import LOOKS, MUTE, Limit, Meter
-from bifrost.member import Member
 from bifrost.messages import M, Message
+from bifrost.waiting import Waitable
 
 _log = logging.getLogger("bifrost")
 R = TypeVar("R", bound=Message)
 _CLIENTS = 1000  # whose requests are counted; of more, the one that came first is counted anew
 
 
-class Server(Generic[M, R]):
+class Server(Waitable, Generic[M, R]):
     """Answers the requests of one topic. Made by ``Node.server``.
 
     Attributes:
@@ -35,7 +36,7 @@ class Server(Generic[M, R]):
 
     def __init__(
         self,
-        node: Member,
+        discovery: Discovery,
         topic: str,
         request: type[M],
         reply: type[R],
@@ -50,23 +51,23 @@ class Server(Generic[M, R]):
         self._meters: dict[bytes, Meter] = {}  # by the connection's id
         self._muted: dict[bytes, tuple[str, float]] = {}  # by it: who, as it says, and until when, monotonic [s]
         self._answered = 0
-        self._node = node
+        self._discovery = discovery
         self._request, self._reply = codec(request), codec(reply)
         self._reply_type = reply
         self._handler = handler
         self._topic = topic.encode()
         self._computer = wire.computer_id()
         self._closed = False
-        self.socket = node.discovery.listening_socket(zmq.ROUTER)
+        self.socket = discovery.listening_socket(zmq.ROUTER)
         self.socket.setsockopt(zmq.LINGER, 100)  # the last reply still leaves when the node closes
-        self.socket.bind(f"tcp://{node.network.computer.host}:*")
+        self.socket.bind(f"tcp://{discovery.network.computer.host}:*")
         entry = Entry(
             "server", topic, (self._request.name, self._reply.name),
             (self._request.hash.hex(), self._reply.hash.hex()), self.socket.getsockopt_string(zmq.LAST_ENDPOINT),
-            key=node.network.own_key,
+            key=discovery.network.own_key,
         )  # fmt: skip
         schemas = [self._request.schema, self._reply.schema]
-        self._key = node.discovery.announce(entry, schemas, lambda: (self._answered, 0, self.rejected))
+        self._key = discovery.announce(entry, schemas, self, lambda: (self._answered, 0, self.rejected))
 
     def serve(self, most: int = LOOKS) -> int:
         """Answer the requests that wait, in this thread; never blocks. Returns how many it answered.
@@ -139,13 +140,6 @@ class Server(Generic[M, R]):
         """Whether a request waits. Never blocks."""
         return bool(int(self.socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
 
-    def holding(self) -> bool:
-        """Whether a request waits outside the socket, where polling does not see it: never."""
-        return False
-
-    def patience(self) -> None:
-        """How long one may wait before looking again even if nothing comes: for ever."""
-
     def fileno(self) -> int:
         """A descriptor for an event loop; call ``serve`` after it becomes readable and before the first wait."""
         return int(self.socket.getsockopt(zmq.FD))
@@ -154,9 +148,8 @@ class Server(Generic[M, R]):
         """Withdraw the topic and close the socket."""
         if not self._closed:
             self._closed = True
-            self._node.discovery.withdraw(self._key)
+            self._discovery.withdraw(self._key)
             self.socket.close()
-            self._node.forget(self)
 
     def _answer(self, frame: bytes) -> bytes | None:
         topic, _, rest = frame.partition(b"\0")
@@ -177,7 +170,7 @@ class Server(Generic[M, R]):
             return self._refuse(
                 request_id,
                 wire.OTHER_SCHEMA,
-                f"{self._node.name} serves {self._request.name} ({self._request.hash.hex()}) -> "
+                f"{self._discovery.name} serves {self._request.name} ({self._request.hash.hex()}) -> "
                 f"{self._reply.name} ({self._reply.hash.hex()}), {origin} asked with "
                 f"({request_hash.hex()}) -> ({reply_hash.hex()})",
             )

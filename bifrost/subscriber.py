@@ -10,13 +10,14 @@ import msgspec
 import zmq
 
 from bifrost.directory import Entry
+from bifrost.discovery import Discovery
 from bifrost.encoding import Codec, codec
 from bifrost.errors import SchemaError
 from bifrost.intake import Checked, Intake
 from bifrost.limits import LOOKS, Limit
-from bifrost.member import Member
 from bifrost.messages import M
 from bifrost.reservoir import Reservoir
+from bifrost.waiting import Waitable
 
 Drop = Literal["newest", "oldest"]
 _SMALL = 4096  # copying fewer bytes than this is quicker than a view of them [B]
@@ -41,12 +42,12 @@ class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
     arrived: int = 0
 
 
-class Subscriber(Generic[M]):
+class Subscriber(Waitable, Generic[M]):
     """Receives the messages of one topic. Made by ``Node.subscriber``."""
 
     def __init__(
         self,
-        node: Member,
+        discovery: Discovery,
         topic: str,
         message_type: type[M] | None,
         queue: int | None,
@@ -55,7 +56,7 @@ class Subscriber(Generic[M]):
         limit: Limit | None = None,
     ) -> None:
         self.topic = topic
-        self._node = node
+        self._discovery = discovery
         own: Codec[Any] | None = None if message_type is None else codec(message_type)
         self._keep_all = queue is not None
         self._waiting: deque[Checked] = deque()  # checked but not delivered
@@ -63,13 +64,13 @@ class Subscriber(Generic[M]):
         self._woken = False
         self._closed = False
         self._full = False  # the last look took as many as it was to
-        intake = self._intake = Intake(node.discovery, topic, own, queue, limit)
+        intake = self._intake = Intake(discovery, topic, own, queue, limit)
         self._reservoir: Reservoir[Checked] | None = None
         if queue and drop == "oldest":
-            self._reservoir = Reservoir(intake.within, intake.close, queue, f"{topic} to {node.name}")
+            self._reservoir = Reservoir(intake.within, intake.close, queue, f"{topic} to {discovery.name}")
         self._source: Intake | Reservoir[Checked] = self._reservoir or intake
         types, hashes, schemas = ((), (), ()) if own is None else ((own.name,), (own.hash.hex(),), (own.schema,))
-        self._key = node.discovery.announce(Entry("subscriber", topic, types, hashes), schemas, self._counts)
+        self._key = discovery.announce(Entry("subscriber", topic, types, hashes), schemas, self, self._counts)
 
     # --- for the user ---------------------------------------------------------------------------------------------
 
@@ -156,7 +157,7 @@ class Subscriber(Generic[M]):
         if self._reservoir is not None:
             self._reservoir.wake()
         else:
-            self._node.discovery.wake(self.topic)
+            self._discovery.wake(self.topic)
 
     def drain(self, most: int | None = None, within: float | None = None) -> list[Received[M]]:
         """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks.
@@ -224,18 +225,14 @@ class Subscriber(Generic[M]):
         """Whether a message waits outside the socket, where polling does not see it."""
         return bool(self._waiting)
 
-    def patience(self) -> None:
-        """How long one may wait before looking again even if nothing comes: for ever."""
-
     def close(self) -> None:
         """Unsubscribe and close the socket."""
         if not self._closed:
             self._closed = True
-            self._node.discovery.withdraw(self._key)
+            self._discovery.withdraw(self._key)
             if self._reservoir is not None:
-                self._node.discovery.wake(self.topic)
+                self._discovery.wake(self.topic)
             self._source.close()
-            self._node.forget(self)
 
     # --- receiving ------------------------------------------------------------------------------------------------
 

@@ -24,11 +24,11 @@ class Waitable(Protocol):
 
     def holding(self) -> bool:
         """Whether something waits outside the socket, where polling does not see it."""
-        ...
+        return False
 
     def patience(self) -> float | None:
         """How long one may wait before looking again even if nothing comes [s]; None: for ever."""
-        ...
+        return None
 
 
 class Lookable(Protocol):

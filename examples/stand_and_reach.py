@@ -304,10 +304,10 @@ class Robot:
     def settled(self, joints: list[str]) -> Posture:
         """Mean joint positions, once the joints have come to rest."""
         self.wait_robot_time(SETTLE)
-        known = len(self.streams.states)
+        self.streams.states.clear()
         self.wait_robot_time(AVERAGE)
-        self.wait(lambda: len(self.streams.states) > known, PATIENCE, "/joint_states went silent")
-        rows = [self._positions(state, joints) for state in self.streams.states[known:]]
+        self.wait(lambda: self.streams.states, PATIENCE, "/joint_states went silent")
+        rows = [self._positions(state, joints) for state in self.streams.states]
         return {joint: fmean(row[joint] for row in rows) for joint in joints}
 
     @staticmethod

@@ -1,12 +1,9 @@
-#!/usr/bin/env python3
-"""How well the robot's streams arrive at a ROS 2 node: rate and age of /joint_states, pace of /clock.
-
-python streams.py [SECONDS]
-"""
+"""How well the robot's streams arrive at a ROS 2 node: rate and age of /joint_states, pace of /clock."""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
@@ -19,12 +16,12 @@ class Streams:
     """What a node has heard of both since it began to listen; times in seconds.
 
     Attributes:
-        states: joint states, all of them.
+        states: the newest joint states.
         clock: robot time as told last; None: not yet.
     """
 
     def __init__(self, node: Node) -> None:
-        self.states: list[JointState] = []
+        self.states: deque[JointState] = deque(maxlen=1000)
         self.clock: float | None = None
         self._states: list[tuple[float, float]] = []  # when each came, by the wall, and its stamp
         self._clocks: list[tuple[float, float]] = []  # likewise

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import psutil
@@ -57,7 +57,7 @@ def sample(count: int, size: int = 38) -> Sample:
     return Sample(count, f"sample {count}", values, np.full(size, count % 256, np.uint8))
 
 
-def until(condition: Callable[[], T], what: str, timeout: float = 10.0) -> T:
+def until(condition: Callable[[], T | Literal[False] | None], what: str, timeout: float = 10.0) -> T:
     """Poll until true; the failure names what was waited for."""
     timeout = max(timeout, PATIENCE)
     deadline = time.monotonic() + timeout

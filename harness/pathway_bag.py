@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from harness.bag_file import type_store, write_bag
 from valor.analysis.pathways import JOINT_STATES, MODE_COMMAND, MODE_REPORT, REFERENCE, VEC
 from valor.robot.description import RobotDescription
 
-SHARE = Path(sys.prefix) / "share"
 TO_SETPOINT, TO_MOTOR, TO_STATES = 0.0012, 0.0015, 0.0008  # from a Proprioceptor sent, to what is made of it sent [s]
 RESPONSE = 0.006  # from a reference to the Proprioceptor whose control values move [s]
 THROUGH = 0.005  # by which Motor's positions come behind the control values [s]
@@ -39,10 +35,7 @@ def control_value(time: float) -> float:
 
 def write(path: Path, robot: RobotDescription) -> None:
     """Write it."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for package in ("valor_msgs", "control_msgs", "vigir_humanoid_control_msgs"):
-        for file in sorted((SHARE / package / "msg").glob("*.msg")):
-            store.register(get_types_from_msg(file.read_text(), f"{package}/msg/{file.stem}"))
+    store = type_store("valor_msgs", "control_msgs", "vigir_humanoid_control_msgs")
     n, column, sequence = len(robot.joints), robot.index[JOINT], 1_000_000
     rows: list[tuple[float, str, str, dict[str, Any]]] = []
 
@@ -91,15 +84,12 @@ def write(path: Path, robot: RobotDescription) -> None:
         add(at, MODE_COMMAND, "vigir_humanoid_control_msgs/msg/VigirControlModeCommand", requested_control_mode=mode)
         add(at + CHANGE + REPORT, MODE_REPORT, "vigir_humanoid_control_msgs/msg/ControlModeStatus",
             current_control_mode=mode)  # fmt: skip
-    folder, connections = path.with_suffix(".folder"), {}
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for at, topic, name, fields in sorted(rows, key=lambda row: row[0]):
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, name, typestore=store)
-            message = _filled(store, name, fields)
-            writer.write(connections[topic], round((WALL + at) * 1e9), store.serialize_cdr(message, name))
-    shutil.move(str(next(folder.glob("*.mcap"))), path)
-    shutil.rmtree(folder)
+    rows.sort(key=lambda row: row[0])
+    write_bag(
+        path,
+        store,
+        ((round((WALL + at) * 1e9), topic, name, _filled(store, name, fields)) for at, topic, name, fields in rows),
+    )
 
 
 _PLAIN = {"string": "", "bool": False, "float64": 0.0, "float32": 0.0}

@@ -34,7 +34,7 @@ from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
-from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
+from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
@@ -236,6 +236,12 @@ class ModeClient:
     def finish(self, report: ModeReport) -> None:
         assert self.result is None, "finished twice"
         self.result = report
+
+    @property
+    def report(self) -> ModeReport:
+        """The result, which has come."""
+        assert self.result is not None
+        return self.result
 
 
 class System:

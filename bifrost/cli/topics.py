@@ -261,7 +261,7 @@ def _first(node: Node, subscriber: Subscriber[Message], timeout: float) -> Recei
     if received is not None:
         return received
     if not node.discovery.connected:
-        raise TimeoutError(f"topic {subscriber.topic}: {node.daemon_silent}")
+        raise TimeoutError(f"topic {subscriber.topic}: {node.discovery.daemon_silent}")
     if not subscriber.publishers:
         raise TimeoutError(f"topic {subscriber.topic}: no publisher within {timeout:g} s")
     names = ", ".join(subscriber.publishers)

@@ -98,7 +98,7 @@ class Continuous:
     def note(self, change: ClockChange) -> None:
         """The wall clock has moved."""
         if self._bag is not None:
-            self._shelf.note(self._bag, change)
+            self._bag.add_metadata(f"clock_{change.kind}", change.metadata())
 
     def failed(self, error: OSError) -> None:
         """Writing failed: save what is written and go on without a bag until there is room."""

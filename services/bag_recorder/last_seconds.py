@@ -78,11 +78,11 @@ class LastSeconds:
     def snap(self, label: str) -> SnapReply:
         """Write what is held into a bag of its own, and go on holding it."""
         if not self._ring:
-            return SnapReply(accepted=False, path="", messages=0, seconds=0.0, reason="nothing has come yet")
+            return refused("nothing has come yet")
         try:
             bag = self._shelf.begin(label)
         except OSError as error:
-            return _refused(told(error, self._shelf.place(label)))
+            return _failed(told(error, self._shelf.place(label)))
         try:
             held = frozenset(entry[1].name for entry in self._ring)
             self._shelf.add_latched(bag, min(entry[2] for entry in self._ring), but=held)
@@ -93,14 +93,9 @@ class LastSeconds:
             messages = bag.messages
             self._shelf.finish(bag)
         except OSError as error:
-            return _refused(self._shelf.give_up(bag, error))
-        return SnapReply(
-            accepted=True,
-            path=str(bag.path),
-            messages=messages,
-            seconds=self._ring[-1][0] - self._ring[0][0],
-            reason="",
-        )
+            return _failed(self._shelf.give_up(bag, error))
+        seconds = self._ring[-1][0] - self._ring[0][0]
+        return SnapReply(accepted=True, path=str(bag.path), messages=messages, seconds=seconds, reason="")
 
     def note(self, change: ClockChange) -> None:
         """The wall clock has moved: told in the metadata of the bags to come."""
@@ -115,6 +110,11 @@ class LastSeconds:
             self.snap(FALL)
 
 
-def _refused(reason: str) -> SnapReply:
-    _log.error("not saved: %s", reason)
+def refused(reason: str) -> SnapReply:
+    """Nothing is saved, and why."""
     return SnapReply(accepted=False, path="", messages=0, seconds=0.0, reason=reason)
+
+
+def _failed(reason: str) -> SnapReply:
+    _log.error("not saved: %s", reason)
+    return refused(reason)

@@ -10,7 +10,7 @@ from valor.bag_recorder.bifrost_tap import BifrostTap
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.continuous import Continuous
 from valor.bag_recorder.definitions import UnknownTypeError
-from valor.bag_recorder.last_seconds import LastSeconds
+from valor.bag_recorder.last_seconds import LastSeconds, refused
 from valor.bag_recorder.ros_tap import RosTap
 from valor.bag_recorder.shelf import Shelf, told
 from valor.bags import recordings
@@ -136,8 +136,9 @@ class BagRecorder:
 
     def _snap(self, request: SnapRequest, origin: str) -> SnapReply:
         if not isinstance(self._recording, LastSeconds):
-            reason = "everything is being recorded; expected a recorder that holds the last seconds (up --bag-ring)"
-            return SnapReply(accepted=False, path="", messages=0, seconds=0.0, reason=reason)
+            return refused(
+                "everything is being recorded; expected a recorder that holds the last seconds (up --bag-ring)"
+            )
         _log.info("asked by %s to save the last seconds", origin)
         self._drain()
         return self._recording.snap("snap")

@@ -15,10 +15,11 @@ import msgspec
 
 from valor.bag_recorder import tally
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.bag_recorder.clock import ClockChange, WallClock
+from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.housekeeper import Housekeeper
 from valor.bags import recordings
 from valor.bags.errors import BagError
+from valor.bags.files import SUFFIX
 from valor.bags.index import EVENT, read_index
 from valor.bags.recordings import Unfinished
 from valor.bags.recovery import recover
@@ -27,7 +28,6 @@ from valor.common.errors import ConfigurationError
 from valor.common.table import plain
 from valor.service import Context
 
-SUFFIX = ".mcap"
 SPACE_KEPT = 64 << 20  # the disk is never filled beyond this [B]
 
 _log = logging.getLogger("bag_recorder")
@@ -155,14 +155,6 @@ class Shelf:
     def close(self) -> None:
         """See that rosbag2 knows of all that is finished."""
         self._keeper.close()
-
-    def note(self, bag: Bag, change: ClockChange) -> None:
-        """Write into a bag how the wall clock moved.
-
-        Raises:
-            OSError: it cannot be written.
-        """
-        bag.add_metadata(f"clock_{change.kind}", change.metadata())
 
     def event(self, bag: Bag, what: str, stamp: int, reason: str) -> None:
         """Write into a bag what happened, and when [ns, wall clock].

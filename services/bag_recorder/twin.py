@@ -22,24 +22,18 @@ _SECOND = 1_000_000_000
 
 
 class _Kind(Enum):
-    BOOL = "?"
-    INT = "q"
-    FLOAT = "d"
-    STRING = "string"
-    STRINGS = "string[]"
+    """Of a field, as Bifrost's schemas call it."""
+
+    BOOL = "bool"
+    INT = "int"
+    FLOAT = "float"
+    STRING = "str"
+    STRINGS = "list<str>"
     BYTES = "uint8[]"
     FLOATS = "float64[]"
 
 
-_KINDS: dict[str, _Kind] = {  # by what Bifrost's schemas call them
-    "bool": _Kind.BOOL,
-    "int": _Kind.INT,
-    "float": _Kind.FLOAT,
-    "str": _Kind.STRING,
-    "list<str>": _Kind.STRINGS,
-    "uint8[]": _Kind.BYTES,
-    "float64[]": _Kind.FLOATS,
-}
+_NUMBERS = {_Kind.BOOL: ("?", 1), _Kind.INT: ("q", 8), _Kind.FLOAT: ("d", 8)}  # code in a format, and size [B]
 
 
 def twin_type(message_type: type[Message]) -> str:
@@ -59,9 +53,10 @@ class TwinEncoder:
     def __init__(self, message_type: type[Message]) -> None:
         self._kinds: list[_Kind] = []
         for name, type_name in codec(message_type).schema.types[message_type.__name__]:
-            if type_name not in _KINDS:
-                raise TypeError(f"{message_type.__name__}.{name}: {type_name} has no ROS twin")
-            self._kinds.append(_KINDS[type_name])
+            try:
+                self._kinds.append(_Kind(type_name))
+            except ValueError:
+                raise TypeError(f"{message_type.__name__}.{name}: {type_name} has no ROS twin") from None
         names = message_type.__struct_fields__
         self._values: Callable[[Message], tuple[Any, ...]] = (
             attrgetter(*names) if len(names) > 1 else lambda message: tuple(getattr(message, n) for n in names)
@@ -132,7 +127,7 @@ class TwinEncoder:
             elif kind is _Kind.FLOATS:
                 layout.array(next(remaining), 8)
             else:
-                layout.number(kind.value, 1 if kind is _Kind.BOOL else 8)
+                layout.number(*_NUMBERS[kind])
         return layout.format
 
 

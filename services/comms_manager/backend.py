@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+from valor.common.behaviors import Reaction
 from valor.common.messages import Proprioceptor
 from valor.comms_manager.commands import Commands
 
@@ -13,11 +14,11 @@ class Backend(ABC):
 
     Attributes:
         waits_for_motor: robot time begins with the first Motor; otherwise it passes by itself.
-        demand: what the devices' condition demands of the robot, as ``DeviceStatus.reaction`` has it.
+        demand: what the devices' condition demands of the robot.
     """
 
     waits_for_motor = True
-    demand = "keep_balance"
+    demand = Reaction.KEEP_BALANCE
 
     @property
     @abstractmethod

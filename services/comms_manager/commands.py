@@ -7,6 +7,7 @@ import math
 import time
 
 import bifrost
+from valor.common.behaviors import Reaction
 from valor.common.messages import JointMode, Motor, Proprioceptor
 from valor.comms_manager.leader import Leader
 from valor.robot.description import RobotDescription
@@ -49,12 +50,12 @@ class Commands:
         self.refused = 0
         self.waits_timed_out = 0
 
-    def measured(self, state: Proprioceptor, demand: str) -> None:
+    def measured(self, state: Proprioceptor, demand: Reaction) -> None:
         """A Proprioceptor was published: what is admitted from now on answers it at the newest.
 
         Args:
             state: it.
-            demand: of the devices, as ``DeviceStatus.reaction`` has it.
+            demand: of the devices.
         """
         leader = self.leader
         self._first = self._first or state.sequence

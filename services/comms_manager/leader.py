@@ -10,7 +10,7 @@ import logging
 
 import numpy as np
 
-from valor.common.behaviors import REFLEX, Behavior
+from valor.common.behaviors import REFLEX, Behavior, Reaction
 from valor.common.messages import BehaviorReply, BehaviorRequest, JointMode, Motor, Proprioceptor
 from valor.comms_manager.latch import BehaviorLatch
 from valor.whole_body.reflex import BalanceReflex
@@ -98,18 +98,18 @@ class Leader:
         """Take note of the newest state."""
         self._state = state
 
-    def answer(self, demand: str) -> bool:
+    def answer(self, demand: Reaction) -> bool:
         """Have the reflex answer the newest state, if it leads; returns whether there is a Motor of it.
 
         Args:
-            demand: of the devices, as ``DeviceStatus.reaction`` has it.
+            demand: of the devices.
         """
         if not self.balancing or self._state is None:
             return False
-        hold = demand == "hold" or self._ordered == FREEZE
+        hold = demand is Reaction.HOLD or self._ordered == FREEZE
         try:
             with np.errstate(all="ignore"):  # what is not finite is looked for where it matters
-                motor = self._reflex.update(self._state, limp=demand == "limp", hold=hold)
+                motor = self._reflex.update(self._state, limp=demand is Reaction.LIMP, hold=hold)
         except Exception:
             # Whatever is wrong with it, the devices go on.
             _log.exception("error in the balance reflex")

@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import can
 
+from valor.common.instance import Settings
 from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
 from valor.device_emulators.faulty_line import FaultyLine
 from valor.device_emulators.robot import SimulatedRobot
 from valor.devices import can_frames
 from valor.devices.can_frames import Code, Identity
+from valor.devices.ports import open_can
+from valor.devices.table import MotorController, WrenchSensor
 
 
 class CanEmulator(Emulator):
     """Units on one bus. Each samples and answers when SYNC comes."""
 
-    def __init__(self, name: str, bus: can.BusABC, identities: Mapping[int, Identity], faults: FaultSwitches) -> None:
-        """``identities``: of the units, by number; their names among ``faults`` are their numbers."""
-        super().__init__(name, faults)
-        self._bus = bus
-        self._identities = identities
-        self._names = {unit: str(unit) for unit in identities}
-        self._line = FaultyLine(bus.send, faults, lambda frame: bytes(frame.data), _with_data)
+    def __init__(
+        self,
+        name: str,
+        settings: Settings,
+        bus: int,
+        units: Sequence[MotorController | WrenchSensor],
+        kinds: frozenset[EmulatedFault] = frozenset(EmulatedFault),
+    ) -> None:
+        """``units``: those on the bus, named by their numbers; ``kinds``: of faults that they can have."""
+        self._identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in units}
+        self._names = {unit.id: str(unit.id) for unit in units}
+        super().__init__(name, FaultSwitches(tuple(self._names.values()), kinds))
+        self._bus = open_can(settings, bus, can_frames.TO_UNITS, can_frames.KIND)
+        self._line = FaultyLine(self._bus.send, self.faults, lambda frame: bytes(frame.data), _with_data)
         self._dead: set[int] = set()
 
     def files(self) -> tuple[int, ...]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from valor.common.arrays import FloatArray
 from valor.common.instance import Instance, Settings
 from valor.device_emulators.can_emulator import CanEmulator
-from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.emulator import EmulatedFault
 from valor.device_emulators.robot import SimulatedRobot
 from valor.devices import can_frames
-from valor.devices.can_frames import Identity, Status
+from valor.devices.can_frames import Status
 from valor.devices.end_to_end import protect
-from valor.devices.ports import open_can
 from valor.devices.table import FtCan
 from valor.robot.description import RobotDescription
 
@@ -25,10 +24,7 @@ class ForceTorqueEmulator(CanEmulator):
     def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:
         table = robot.tables.devices[name]
         assert isinstance(table, FtCan)
-        identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in table.sensors}
-        faults = FaultSwitches(tuple(map(str, identities)), _KINDS)
-        bus = open_can(settings, table.bus, can_frames.TO_UNITS, can_frames.KIND)
-        super().__init__(name, bus, identities, faults)
+        super().__init__(name, settings, table.bus, table.sensors, _KINDS)
         self._places = {unit.id: f"{unit.at}_wrench" for unit in table.sensors}
 
     def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:

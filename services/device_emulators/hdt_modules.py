@@ -217,7 +217,7 @@ class HdtModules(Emulator):
                 state.fault[i] |= int(Fault.NO_ANSWER)
                 for name in ("position", "velocity", "effort"):
                     getattr(state, name)[i] = getattr(said, name)[i] if said is not None else 0.0
-            if self._either(segment.limb, unit, EmulatedFault.OVER_TEMPERATURE, now):
+            if any(active(each, EmulatedFault.OVER_TEMPERATURE, now) for each in (segment.limb, unit)):
                 state.temperature[i] = _HOT
                 state.fault[i] |= int(Fault.OVER_TEMPERATURE)
             if active(unit, EmulatedFault.ENCODER_JUMP, now):
@@ -231,9 +231,6 @@ class HdtModules(Emulator):
 
     def _fails(self, segment: _Segment, fault: EmulatedFault, now: float) -> bool:
         return self.faults.active(segment.limb, fault, now)
-
-    def _either(self, limb: str, module: str, fault: EmulatedFault, now: float) -> bool:
-        return self.faults.active(limb, fault, now) or self.faults.active(module, fault, now)
 
 
 def _with_data(frame: can.Message, data: bytes) -> can.Message:

@@ -98,11 +98,7 @@ class KvhEmulator(SerialSensorEmulator):
     def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:
         table = robot.tables.devices[name]
         assert isinstance(table, Kvh1750)
-        self._serial = table.serial
-        super().__init__(name, instance, settings)
-
-    def _new_sensor(self) -> KvhSensor:
-        return KvhSensor(self._serial)
+        super().__init__(name, instance, settings, lambda: KvhSensor(table.serial))
 
 
 def crc32(data: bytes) -> int:

@@ -16,8 +16,8 @@ class MicroStrainEmulator(SerialSensorEmulator):
     def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:
         table = robot.tables.devices[name]
         assert isinstance(table, MicroStrainMip)
-        self._table = table
-        super().__init__(name, instance, settings, KINDS - {EmulatedFault.OVER_TEMPERATURE})
 
-    def _new_sensor(self) -> MipSensor:
-        return MipSensor(self._table.model, self._table.serial, self._table.firmware)
+        def new() -> MipSensor:
+            return MipSensor(table.model, table.serial, table.firmware)
+
+        super().__init__(name, instance, settings, new, KINDS - {EmulatedFault.OVER_TEMPERATURE})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from collections.abc import Callable
 from typing import Protocol
 
 from valor.common.instance import Instance, Settings
@@ -40,17 +40,14 @@ class SerialSensorEmulator(Emulator):
         name: str,
         instance: Instance,
         settings: Settings,
+        new: Callable[[], Sensor],
         kinds: frozenset[EmulatedFault] = KINDS,
     ) -> None:
-        """``kinds``: of faults that it can have."""
+        """``new``: makes a sensor that was just switched on; ``kinds``: of faults that it can have."""
         super().__init__(name, FaultSwitches((name,), kinds))
         self._port = SerialPort(serial_port(instance, settings, name))
         self._line = line(self._port, self.faults)
-        self._sensor = self._new_sensor()
-
-    @abstractmethod
-    def _new_sensor(self) -> Sensor:
-        """One that was just switched on."""
+        self._new, self._sensor = new, new()
 
     def files(self) -> tuple[int, ...]:
         """The port."""
@@ -66,7 +63,7 @@ class SerialSensorEmulator(Emulator):
             self._port.unplug()
             return
         if not self._port.plugged:
-            self._sensor = self._new_sensor()
+            self._sensor = self._new()
             self._port.plug()
         for reply in self._sensor.receive(self._port.read()):
             self._line.send(self.name, reply, now)

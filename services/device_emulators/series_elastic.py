@@ -7,12 +7,11 @@ import numpy as np
 
 from valor.common.instance import Instance, Settings
 from valor.device_emulators.can_emulator import CanEmulator
-from valor.device_emulators.emulator import EmulatedFault, FaultSwitches
+from valor.device_emulators.emulator import EmulatedFault
 from valor.device_emulators.robot import SimulatedRobot
 from valor.devices import can_frames
-from valor.devices.can_frames import Code, Identity, Status
+from valor.devices.can_frames import Code, Status
 from valor.devices.end_to_end import protect
-from valor.devices.ports import open_can
 from valor.devices.table import MotorController, SeaCanFd
 from valor.robot.description import RobotDescription
 
@@ -39,11 +38,6 @@ class _Controller:
         self.temperature = [AMBIENT] * can_frames.AXES
         self.heated = 0.0  # when that was worked out last [s]
 
-    def reset(self) -> None:
-        """What is left when the power has been away."""
-        self.status = Status(0)
-        self.sequence = 0
-
 
 class SeriesElasticEmulator(CanEmulator):
     """The motor controllers on one CAN FD bus."""
@@ -51,10 +45,7 @@ class SeriesElasticEmulator(CanEmulator):
     def __init__(self, name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> None:
         table = robot.tables.devices[name]
         assert isinstance(table, SeaCanFd)
-        identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in table.controllers}
-        faults = FaultSwitches(tuple(map(str, identities)))
-        bus = open_can(settings, table.bus, can_frames.TO_UNITS, can_frames.KIND)
-        super().__init__(name, bus, identities, faults)
+        super().__init__(name, settings, table.bus, table.controllers)
         self._controllers = {unit.id: _Controller(unit, robot) for unit in table.controllers}
 
     def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
@@ -132,13 +123,12 @@ class SeriesElasticEmulator(CanEmulator):
 
     def _pass_time(self, now: float, robot: SimulatedRobot) -> None:
         for controller in self._controllers.values():
-            if robot.time - controller.commanded <= WATCHDOG or not controller.status & Status.ENABLED:
-                continue
-            if not controller.status & Status.WATCHDOG:
+            obeys = controller.status & (Status.ENABLED | Status.WATCHDOG) == Status.ENABLED
+            if obeys and robot.time - controller.commanded > WATCHDOG:
                 controller.status |= Status.WATCHDOG
                 robot.hold(controller.joints)
 
     def _power_changed(self, unit: int, on: bool, robot: SimulatedRobot) -> None:
         controller = self._controllers[unit]
-        controller.reset()
+        controller.status, controller.sequence = Status(0), 0
         robot.power(controller.joints, False)

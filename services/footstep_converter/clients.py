@@ -7,7 +7,7 @@ where tools that publish, and anybody who watches, find it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
@@ -35,70 +35,66 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 Report = Callable[[ExecuteStepPlan.Feedback], None]
 
 
-class Goal(Protocol):
-    """A plan asked for, and the way to say how it went."""
+class Goal:
+    """A plan asked for, and the way to say how it went. As it is, of the topic: nobody waits for a result.
 
-    @property
-    def plan(self) -> StepPlan:
-        """The plan asked for."""
+    Attributes:
+        plan: asked for.
+        ended: the client has been told the outcome.
+    """
+
+    def __init__(self, plan: StepPlan, report: Report, maker: FeedbackMaker) -> None:
+        self.plan = plan
+        self.ended = False
+        self._report = report
+        self._maker = maker
 
     @property
     def cancel_requested(self) -> bool:
         """Whether the client no longer wants it."""
-
-    @property
-    def ended(self) -> bool:
-        """Whether the client has been told the outcome."""
+        return False
 
     def progress(self, execution: Execution | None) -> None:
         """Tell the client where the plan is; None: it is being handed over."""
+        self._report(self._maker.progress(execution))
 
     def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
         """Tell the client how it ended; once."""
+        if not self.ended:
+            self.ended = True
+            self._report(self._maker.end(outcome, execution))
+            self._settle(outcome)
+
+    def _settle(self, outcome: Outcome) -> None:
+        """The client has heard the last feedback."""
 
 
-class ActionGoal:
+class ActionGoal(Goal):
     """A goal of the action. Its result comes a little behind the last feedback."""
 
     def __init__(
         self, handle: ServerGoalHandle, executor: Any, node: Node, report: Report, maker: FeedbackMaker
     ) -> None:
-        self.ended = False
+        def tell(feedback: ExecuteStepPlan.Feedback) -> None:
+            handle.publish_feedback(feedback)
+            report(feedback)
+
+        super().__init__(handle.request.step_plan, tell, maker)
         self._handle = handle
         self._node = node
-        self._report = report
-        self._maker = maker
         self._outcome = Future(executor=executor)
-
-    @property
-    def plan(self) -> StepPlan:
-        """The plan asked for."""
-        plan: StepPlan = self._handle.request.step_plan
-        return plan
 
     @property
     def cancel_requested(self) -> bool:
         """Whether the client no longer wants it."""
         return bool(self._handle.is_cancel_requested)
 
-    def progress(self, execution: Execution | None) -> None:
-        """Tell the client where the plan is; None: it is being handed over."""
-        self._publish(self._maker.progress(execution))
+    def _settle(self, outcome: Outcome) -> None:
+        def settle() -> None:
+            self._node.destroy_timer(timer)
+            self._outcome.set_result(outcome)
 
-    def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
-        """Tell the client how it ended; once."""
-        if not self.ended:
-            self.ended = True
-            self._publish(self._maker.end(outcome, execution))
-            timer: Timer = self._node.create_timer(RESULT_DELAY, lambda: self._settle(timer, outcome), clock=_STEADY)
-
-    def _settle(self, timer: Timer, outcome: Outcome) -> None:
-        self._node.destroy_timer(timer)
-        self._outcome.set_result(outcome)
-
-    def _publish(self, feedback: ExecuteStepPlan.Feedback) -> None:
-        self._handle.publish_feedback(feedback)
-        self._report(feedback)
+        timer: Timer = self._node.create_timer(RESULT_DELAY, settle, clock=_STEADY)
 
     async def result(self) -> ExecuteStepPlan.Result:
         """Wait for the end; then the goal's terminal state is set and its result returned."""
@@ -114,28 +110,6 @@ class ActionGoal:
         result.status.status = outcome.status
         result.controller_state = final_state(outcome)
         return result
-
-
-class PublishedPlan:
-    """A plan that came on the topic. Nobody waits for a result: the log has it, and the last feedback."""
-
-    cancel_requested = False
-
-    def __init__(self, plan: StepPlan, report: Report, maker: FeedbackMaker) -> None:
-        self.plan = plan
-        self.ended = False
-        self._report = report
-        self._maker = maker
-
-    def progress(self, execution: Execution | None) -> None:
-        """Publish where the plan is."""
-        self._report(self._maker.progress(execution))
-
-    def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
-        """Publish how it ended; once."""
-        if not self.ended:
-            self.ended = True
-            self._report(self._maker.end(outcome, execution))
 
 
 class Clients:
@@ -160,7 +134,7 @@ class Clients:
         self._server = ActionServer(node, ExecuteStepPlan, EXECUTE, self._execute, cancel_callback=self._cancel)
 
     def _published(self, plan: StepPlan) -> None:
-        self._begin(PublishedPlan(plan, self._feedback.publish, self._maker))
+        self._begin(Goal(plan, self._feedback.publish, self._maker))
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteStepPlan.Result:
         goal = ActionGoal(handle, self._executor, self._node, self._feedback.publish, self._maker)

@@ -14,7 +14,7 @@ import geometry_msgs.msg
 from vigir_footstep_planning_msgs import msg as vigir
 from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus, StepPlan
 
-from valor.common.errors import ValorError
+from valor.common.errors import RefusalError
 from valor.common.poses import Pose
 from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, Step, StepRule
 
@@ -22,8 +22,10 @@ PlannedStep = Step[Pose]
 TERMS = ("swing_height", "step_duration", "sway_duration")
 """What ViGIR's planner calls the numbers of a step."""
 
+_F, _E = FootstepExecutionStatus, ErrorStatus
 
-class PlanError(ValorError):
+
+class PlanError(RefusalError):
     """A plan that the robot does not get.
 
     Attributes:
@@ -32,23 +34,21 @@ class PlanError(ValorError):
     """
 
     def __init__(self, status: int, error: int, text: str) -> None:
-        super().__init__(text)
+        super().__init__("plan", text)
         self.status = status
         self.error = error
 
 
 def _invalid(text: str) -> PlanError:
-    return PlanError(FootstepExecutionStatus.ERR_INVALID_PLAN, ErrorStatus.ERR_INVALID_STEP, text)
+    return PlanError(_F.ERR_INVALID_PLAN, _E.ERR_INVALID_STEP, text)
 
 
 def _inconsistent(text: str) -> PlanError:
-    return PlanError(FootstepExecutionStatus.ERR_INCONSISTENT_STEP_PLAN, ErrorStatus.ERR_INCONSISTENT_STEP_PLAN, text)
+    return PlanError(_F.ERR_INCONSISTENT_STEP_PLAN, _E.ERR_INCONSISTENT_STEP_PLAN, text)
 
 
 def _indices(text: str) -> PlanError:
-    return PlanError(
-        FootstepExecutionStatus.ERR_INVALID_INCONSISTENT_INDICES, ErrorStatus.ERR_INCONSISTENT_STEP_PLAN, text
-    )
+    return PlanError(_F.ERR_INVALID_INCONSISTENT_INDICES, _E.ERR_INCONSISTENT_STEP_PLAN, text)
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,12 @@ def check_size(plan: StepPlan, rule: StepRule) -> None:
     """
     if not plan.steps:
         raise PlanError(
-            FootstepExecutionStatus.ERR_EMPTY_PLAN,
-            ErrorStatus.ERR_INCONSISTENT_REQUEST,
-            "the plan has no steps, and no plan runs that it could stop",
+            _F.ERR_EMPTY_PLAN, _E.ERR_INCONSISTENT_REQUEST, "the plan has no steps, and no plan runs that it could stop"
         )
     if len(plan.steps) > rule.limits.max_steps:
         raise PlanError(
-            FootstepExecutionStatus.ERR_INVALID_PLAN,
-            ErrorStatus.ERR_INVALID_PARAMETERS,
+            _F.ERR_INVALID_PLAN,
+            _E.ERR_INVALID_PARAMETERS,
             f"the plan has {len(plan.steps)} steps; the robot takes at most {rule.limits.max_steps}",
         )
 
@@ -130,8 +128,8 @@ def convert(
     first = plan.steps[0].step_index
     if running is None and first != 0:
         raise PlanError(
-            FootstepExecutionStatus.ERR_NON_ZERO_INITIAL_STEP,
-            ErrorStatus.ERR_INCONSISTENT_STEP_PLAN,
+            _F.ERR_NON_ZERO_INITIAL_STEP,
+            _E.ERR_INCONSISTENT_STEP_PLAN,
             f"the plan begins with step {first}; without a running plan it begins with step 0",
         )
     steps = [_step(step, first + offset, rule, to_odom) for offset, step in enumerate(plan.steps)]
@@ -206,7 +204,7 @@ def _start(plan: StepPlan, foot: int, to_odom: Pose | None) -> Pose | None:
             raise _inconsistent(f"start.{FEET[foot]} has foot index {stands.foot_index}; expected {foot}")
         return _pose(stands.pose, f"start.{FEET[foot]}", to_odom)
     except PlanError as error:
-        raise PlanError(error.status, ErrorStatus.ERR_INVALID_START, str(error)) from None
+        raise PlanError(error.status, _E.ERR_INVALID_START, str(error)) from None
 
 
 def _step(step: vigir.Step, index: int, rule: StepRule, to_odom: Pose | None) -> PlannedStep:

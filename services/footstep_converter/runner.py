@@ -52,6 +52,24 @@ class _Handover:
     reply: Future[FootstepPlanReply]
 
 
+@dataclass
+class _Running:
+    """The plan that the Motion Manager executes."""
+
+    goal: Goal  # whose it is
+    execution: Execution
+    next_feedback: float  # monotonic [s]
+
+    def hear(self, statuses: Sequence[StepStatus], now: float) -> None:
+        """Take the Motion Manager's words; of a change the client is told at once, so that it hears of every step."""
+        for status in statuses:
+            told = self.execution.progress.indices
+            self.execution.heard_status(status, now)
+            if self.execution.outcome is None and self.execution.progress.indices != told:
+                self.next_feedback = now + FEEDBACK_PERIOD
+                self.goal.progress(self.execution)
+
+
 class PlanRunner:
     """Takes plans to the Motion Manager and its words about them back. Of one thread."""
 
@@ -79,11 +97,9 @@ class PlanRunner:
         self._wake, self._ros_refusal = wake, refusal
         self._waiting: _Waiting | None = None
         self._handover: _Handover | None = None
-        self._goal: Goal | None = None  # whose plan runs
-        self._execution: Execution | None = None
+        self._running: _Running | None = None
         self._stop_goals: list[Goal] = []  # that asked for the running plan's end
         self._stop = Stop(motion, wake)
-        self._next_feedback = 0.0
 
     @property
     def idle(self) -> bool:
@@ -99,13 +115,17 @@ class PlanRunner:
     @property
     def running(self) -> bool:
         """Whether the Motion Manager has a plan of ours, or is being asked to take one."""
-        return self._goal is not None or self._handover is not None
+        return self._running is not None or self._handover is not None
+
+    @property
+    def _execution(self) -> Execution | None:
+        return self._running.execution if self._running is not None else None
 
     def abandon(self, outcome: Outcome) -> Future[FootstepPlanReply]:
         """Have the Motion Manager stop, and tell the client of what runs; returns the answer to come."""
         reply = self._motion.request([], self._wake)
-        if self._goal is not None:
-            self._goal.end(outcome, self._execution)
+        if self._running is not None:
+            self._running.goal.end(outcome, self._running.execution)
         return reply
 
     # --- goals --------------------------------------------------------------------------------------------------
@@ -126,7 +146,7 @@ class PlanRunner:
     @property
     def _busy(self) -> bool:
         """Whether there is a plan to stop."""
-        return self._execution is not None or self._handover is not None or self._waiting is not None
+        return self.running or self._waiting is not None
 
     def _take(self, goal: Goal, deadline: float) -> None:
         """Convert a goal's plan and hand it over, refuse it, or wait until ``deadline`` for where its frame is."""
@@ -156,7 +176,8 @@ class PlanRunner:
     def _convert(self, goal: Goal) -> list[PlannedStep]:
         if self._handover is not None or self._waiting is not None:
             raise _not_now("another plan is being handed to the Motion Manager; send this one again")
-        if self._execution is not None and (self._execution.stopping or self._stop.wanted):
+        execution = self._execution
+        if execution is not None and (execution.stopping or self._stop.wanted):
             raise _not_now("the running plan is being stopped; send this one again when the robot stands")
         footsteps = self._robot.tables.footsteps
         if footsteps is None:
@@ -166,8 +187,7 @@ class PlanRunner:
         check_size(plan, rule)
         stamp = plan.header.stamp
         to_odom = self._frames.in_odom(frame(plan), stamp.sec * 10**9 + stamp.nanosec)
-        running = self._execution.running_plan if self._execution is not None else None
-        return convert(plan, rule, running, to_odom)
+        return convert(plan, rule, execution.running_plan if execution is not None else None, to_odom)
 
     def _look_again(self) -> None:
         """Whether the transform that a plan waits for has come."""
@@ -175,7 +195,7 @@ class PlanRunner:
         if waiting is None:
             return
         if waiting.goal.cancel_requested or self._stop.wanted:
-            self._stop.wanted = self._execution is not None or self._handover is not None
+            self._stop.wanted = self.running
             waiting.goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "stopped before it began"))
             if not self._stop.wanted:
                 self._end_stop_goals(_STOPPED)
@@ -184,7 +204,7 @@ class PlanRunner:
 
     def cancel(self, goal: Goal) -> None:
         """A client no longer wants its plan: once it runs, stop it; on its way, stop it when it is accepted."""
-        if goal is self._goal:
+        if self._running is not None and goal is self._running.goal:
             self._stop.wanted = True
 
     # --- the Motion Manager's answer ------------------------------------------------------------------------------
@@ -199,19 +219,17 @@ class PlanRunner:
         refused = self._refused(handover.reply)
         if refused is not None:
             self._not_taken(handover.goal, refused)
-        elif self._execution is not None:
-            self._update(handover)
+        elif self._running is not None:
+            self._update(self._running, handover)
         else:
             self._motion.watch(True)
-            self._execution = Execution(handover.steps, now)
-            self._goal = handover.goal
-            self._next_feedback = now
-            self._hear(self._execution, self._goal, _of_steps_begun(self._motion.step_statuses()), now)
+            self._running = _Running(handover.goal, Execution(handover.steps, now), now)
+            self._running.hear(_of_steps_begun(self._motion.step_statuses()), now)
             _log.info("plan of %d steps accepted", len(handover.steps))
-        if self._goal is not None and self._goal.cancel_requested:
-            self._stop.wanted = True
-        if self._execution is None:
+        if self._running is None:
             self._end_stop_goals(_STOPPED)
+        elif self._running.goal.cancel_requested:
+            self._stop.wanted = True
 
     def _refused(self, reply: Future[FootstepPlanReply]) -> Outcome | None:
         """Why the Motion Manager does not execute a plan; None: it does."""
@@ -228,15 +246,13 @@ class PlanRunner:
             return aborted(_F.ERR_UNKNOWN, f"{FOOTSTEP_PLAN.name}: {error}")
         return None if answer.accepted else refusal(answer.behavior, answer.reason)
 
-    def _update(self, handover: _Handover) -> None:
+    def _update(self, running: _Running, handover: _Handover) -> None:
         """The Motion Manager took a goal's steps into the running plan: the goal before it has given way."""
-        assert self._execution is not None
-        assert self._goal is not None
         first = handover.steps[0].index
         text = f"a newer plan took over from step {first} on"
-        self._goal.end(aborted(_F.UPDATED_STEP_PLAN, text, ErrorStatus.NO_ERROR), self._execution)
-        self._execution.update(handover.steps)
-        self._goal = handover.goal
+        running.goal.end(aborted(_F.UPDATED_STEP_PLAN, text, ErrorStatus.NO_ERROR), running.execution)
+        running.execution.update(handover.steps)
+        running.goal = handover.goal
         _log.info("plan updated from step %d on", first)
 
     # --- the running plan ---------------------------------------------------------------------------------------
@@ -245,39 +261,29 @@ class PlanRunner:
         """What the Motion Manager says of the running plan; feedback; its end."""
         now = time.monotonic()
         self._stop.send(self._execution, now, held=self._handover is not None)
-        execution, goal = self._execution, self._goal
-        if execution is None or goal is None:
+        running = self._running
+        if running is None:
             if self._handover is None:  # else they may be about it: they wait for the answer
                 self._motion.step_statuses()
             return
+        execution = running.execution
         if (state := self._motion.behavior()) is not None:
             execution.heard_behavior(state.behavior, state.reason, now, state.time)
-        self._hear(execution, goal, self._motion.step_statuses(), now)
+        running.hear(self._motion.step_statuses(), now)
         execution.passed(now)
         if execution.outcome is not None:
-            self._end(execution, goal, execution.outcome)
-        elif now >= self._next_feedback:
-            self._next_feedback = max(self._next_feedback + FEEDBACK_PERIOD, now)
-            goal.progress(execution)
+            self._end(running, execution.outcome)
+        elif now >= running.next_feedback:
+            running.next_feedback = max(running.next_feedback + FEEDBACK_PERIOD, now)
+            running.goal.progress(execution)
 
-    def _hear(self, execution: Execution, goal: Goal, statuses: Sequence[StepStatus], now: float) -> None:
-        """Take the Motion Manager's words; of a change the client is told at once, so that it hears of every step."""
-        for status in statuses:
-            told = execution.progress.indices
-            execution.heard_status(status, now)
-            if execution.outcome is None and execution.progress.indices != told:
-                self._next_feedback = now + FEEDBACK_PERIOD
-                goal.progress(execution)
-
-    def _end(self, execution: Execution, goal: Goal, outcome: Outcome) -> None:
-        _log.info("plan %s after %d steps: %s", outcome.end.value, len(execution.plan), outcome.text or "goal reached")
+    def _end(self, running: _Running, outcome: Outcome) -> None:
+        steps = len(running.execution.plan)
+        _log.info("plan %s after %d steps: %s", outcome.end.value, steps, outcome.text or "goal reached")
         self._stop.wanted = outcome.unconfirmed  # a plan that we no longer follow must not go on unseen
-        goal.end(outcome, execution)
-        if outcome.end is End.ABORTED:
-            self._end_stop_goals(outcome)
-        else:
-            self._end_stop_goals(_STOPPED)
-        self._execution = self._goal = None
+        running.goal.end(outcome, running.execution)
+        self._end_stop_goals(outcome if outcome.end is End.ABORTED else _STOPPED)
+        self._running = None
         self._motion.watch(False)
 
     def _end_stop_goals(self, outcome: Outcome) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol
 
 from valor.common.errors import ConfigurationError
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -37,29 +37,43 @@ class Controller(Protocol):
         """One cycle. Called whether active or not, for requests must be answered."""
 
 
-C = TypeVar("C", bound=Controller)
+class Onlooker:
+    """A controller that leads nothing: it says how things are while it is active.
+
+    Attributes:
+        active: chosen by the control mode.
+    """
+
+    active = False
+
+    def start(self, hw: ValorEscherHWInterface) -> None:
+        """Be active."""
+        self.active = True
+
+    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
+        """Be inactive."""
+        self.active = False
+
+    def update(self, hw: ValorEscherHWInterface) -> None:
+        """Nothing is led from here."""
 
 
-class ControllerManager(Generic[C]):
+class ControllerManager:
     """Controllers by name, which of them the control mode allows, and which are active.
 
     Attributes:
         controllers: by name.
+        active: names of the active ones, sorted; a new object whenever they change.
         switches: how often the active ones changed.
     """
 
-    def __init__(self, name: str, controllers: Iterable[C]) -> None:
+    def __init__(self, name: str, controllers: Iterable[Controller]) -> None:
         self.name = name
-        self.controllers: dict[str, C] = {controller.name: controller for controller in controllers}
+        self.controllers: dict[str, Controller] = {controller.name: controller for controller in controllers}
         self.switches = 0
         self._mode = ""
         self._allowed: frozenset[str] = frozenset()
-        self._active: tuple[str, ...] = ()
-
-    @property
-    def active(self) -> tuple[str, ...]:
-        """Names of the active controllers."""
-        return self._active
+        self.active: tuple[str, ...] = ()
 
     def check(self, names: Sequence[str], where: str) -> None:
         """Whether all controllers named exist.
@@ -82,8 +96,8 @@ class ControllerManager(Generic[C]):
             return
         self._mode = mode
         self._allowed = frozenset(names)
-        leaving = [name for name in self._active if anew or name not in self._allowed]
-        self.apply(leaving, [name for name in names if anew or name not in self._active], hw, reason)
+        leaving = [name for name in self.active if anew or name not in self._allowed]
+        self.apply(leaving, [name for name in names if anew or name not in self.active], hw, reason)
 
     def allows(self, name: str) -> bool:
         """Whether a controller may be active in the present mode."""
@@ -97,10 +111,10 @@ class ControllerManager(Generic[C]):
             self.controllers[name].stop(hw, reason)
         for name in coming:
             self.controllers[name].start(hw)
-        stay = [name for name in self._active if name not in leaving]
-        self._active = tuple(sorted((*stay, *coming)))
+        stay = [name for name in self.active if name not in leaving]
+        self.active = tuple(sorted((*stay, *coming)))
         self.switches += 1
-        _log.info("%s controllers: %s (%s)", self.name, ", ".join(self._active) or "none", reason)
+        _log.info("%s controllers: %s (%s)", self.name, ", ".join(self.active) or "none", reason)
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """One cycle of each."""

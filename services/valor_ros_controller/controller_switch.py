@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
 
 from valor.valor_ros_controller.controller_manager import ControllerManager
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -47,10 +46,15 @@ class _Plan:
 
 
 class ControllerSwitch:
-    """Answers requests to activate and deactivate controllers. Update thread."""
+    """Answers requests to activate and deactivate controllers. Update thread.
 
-    def __init__(self, managers: Sequence[ControllerManager[Any]], hw: ValorEscherHWInterface) -> None:
+    Attributes:
+        managers: all of them, that of the control modes first.
+    """
+
+    def __init__(self, managers: Sequence[ControllerManager], hw: ValorEscherHWInterface) -> None:
         """Put it over the managers that may be switched; the first of ``managers`` is not to be: it has the modes."""
+        self.managers = tuple(managers)
         self._modes, *self._managers = managers
         self._hw = hw
 
@@ -109,9 +113,9 @@ class ControllerSwitch:
                 plan.names.append(name)
         return plan
 
-    def _manager(self, name: str) -> ControllerManager[Any] | None:
+    def _manager(self, name: str) -> ControllerManager | None:
         return next((manager for manager in self._managers if name in manager.controllers), None)
 
     def _unknown(self, name: str) -> str:
-        known = ", ".join(name for manager in (self._modes, *self._managers) for name in manager.controllers)
+        known = ", ".join(name for manager in self.managers for name in manager.controllers)
         return f"no controller is named {name!r}; there are {known}"

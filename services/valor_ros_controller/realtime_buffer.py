@@ -51,8 +51,3 @@ class RealTimeBuffer(Generic[T]):
     def newest(self) -> T | None:
         """The newest value, read before or not; ``None`` before the first."""
         return self._slots[self._read][1]
-
-    @property
-    def count(self) -> int:
-        """How many values were written."""
-        return self._slots[self._read][0]

@@ -17,7 +17,6 @@ from valor.service import Context, quiet_collector
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
-from valor.valor_ros_controller.ros.diagnostics import Snapshot
 from valor.valor_ros_controller.ros.faces import Faces
 from valor.valor_ros_controller.ros.node import RosThread
 from valor.valor_ros_controller.ros.parameters import Parameters, Range
@@ -93,7 +92,7 @@ class ValorRosController:
                 faces.publish_measured()
                 trace.mark(Stage.PUBLISH_JOINTS)
             core.update(measured)
-            began = core.controller.began
+            began = core.began
             trace.mark(Stage.CONTROLLERS if measured else Stage.AWAIT)
             self._cycles += measured
             faces.publish(measured)
@@ -109,18 +108,11 @@ class ValorRosController:
 
     def _hand_over(self) -> None:
         """Tell the diagnostics and the statistics how we fare."""
-        snapshot = Snapshot.of(self._core, self._faces.bypass, self._cycles)
-        self._faces.hand_over(snapshot)
-        statistics = self._context.statistics
-        statistics.rejected = (
-            snapshot.messages_rejected
-            + snapshot.modes_refused
-            + snapshot.trajectories_refused
-            + self._ros.failures
-            + self._faces.bypass.rejected
-        )
-        if snapshot.silent:
-            statistics.state("starting", f"waiting for {snapshot.silent}")
+        core, faces, statistics = self._core, self._faces, self._context.statistics
+        faces.hand_over(self._cycles)
+        statistics.rejected = core.rejected + self._ros.failures + faces.bypass.rejected
+        if silent := core.interface.silent:
+            statistics.state("starting", f"waiting for {silent}")
         else:
             statistics.state("ready")
 

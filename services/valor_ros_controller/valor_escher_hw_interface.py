@@ -40,8 +40,10 @@ class ValorEscherHWInterface:
         motion: the newest MotionState.
         position, velocity: (n,) measured [rad], [rad/s]; of the pelvis, estimated.
         commanded: (n,) by the Motion System now [rad].
-        command_position, command_velocity, command_acceleration: (n,) written by the claimants.
+        command: (3, n) ``command_position``, ``command_velocity``, ``command_acceleration``, written by the claimants.
         command_offset: (n,) what robot-level controllers add to the position in this cycle [rad].
+        claims: joint → the controller that claimed it; a new object whenever it changes.
+        written: (m,) the joints whose commands are sent, ascending; a new object whenever it changes.
         situation: the control mode, or who is silent; for the text of refusals.
         clamped: how often a command had to be brought within a limit.
     """
@@ -58,15 +60,14 @@ class ValorEscherHWInterface:
         self.position: FloatArray = np.zeros(n)
         self.velocity: FloatArray = np.zeros(n)
         self.commanded: FloatArray = np.zeros(n)
-        self.command_position = np.zeros(n)
-        self.command_velocity = np.zeros(n)
-        self.command_acceleration = np.zeros(n)
+        self.command = np.zeros((3, n))
+        self.command_position, self.command_velocity, self.command_acceleration = self.command
         self.command_offset = np.zeros(n)
         self.situation = "nothing heard yet"
         self.clamped = 0
-        self._claims: dict[int, str] = {}
+        self.claims: dict[int, str] = {}
         self._writing: dict[str, Indices] = {}
-        self._indices: Indices = np.zeros(0, dtype=np.intp)
+        self.written: Indices = np.zeros(0, dtype=np.intp)
         self._sent = np.zeros(n)  # last set-point of every joint, and when
         self._sent_time = np.full(n, -(2**62), dtype=np.int64)
         self._base: FloatArray = np.zeros(0)  # of the joints written: what the next set-point must not jump from
@@ -103,11 +104,6 @@ class ValorEscherHWInterface:
 
     # --- who writes what ------------------------------------------------------------------------------------------
 
-    @property
-    def claims(self) -> dict[int, str]:
-        """Joint → the controller that claimed it; a new object whenever it changes."""
-        return self._claims
-
     def claim(self, controller: str, joints: Indices) -> None:
         """Make a controller the one writer of joints.
 
@@ -115,16 +111,16 @@ class ValorEscherHWInterface:
             JointClaimError: another controller has claimed one of them; nothing has changed.
         """
         for joint in joints.tolist():
-            owner = self._claims.get(joint, controller)
+            owner = self.claims.get(joint, controller)
             if owner != controller:
                 raise JointClaimError(
                     f"{controller} and {owner} both write {self.names[joint]}; expected one writer a joint"
                 )
-        self._claims = self._claims | dict.fromkeys(joints.tolist(), controller)
+        self.claims = self.claims | dict.fromkeys(joints.tolist(), controller)
 
     def release(self, controller: str) -> None:
         """Give up a controller's joints."""
-        self._claims = {joint: owner for joint, owner in self._claims.items() if owner != controller}
+        self.claims = {joint: owner for joint, owner in self.claims.items() if owner != controller}
         self.pause(controller)
 
     def write(self, controller: str, joints: Indices) -> None:
@@ -140,24 +136,15 @@ class ValorEscherHWInterface:
 
     def _select(self) -> None:
         """Lay out anew what is sent."""
-        self._keep()
+        self._sent[self.written] = self._base
+        self._sent_time[self.written] = self._base_time
         groups = list(self._writing.values())
-        self._indices = indices = np.sort(np.concatenate(groups)) if groups else np.zeros(0, dtype=np.intp)
+        self.written = indices = np.sort(np.concatenate(groups)) if groups else np.zeros(0, dtype=np.intp)
         self._selected = self._limits.select(indices)
         # A joint that joins begins where its controller begins, at what the Motion System commands; one that was
         # sent a moment ago goes on from there.
         recent = np.abs(self.time - self._sent_time[indices]) <= LONGEST_STEP * 1e9
         self._base = np.where(recent, self._sent[indices], self.command_position[indices])
-
-    def _keep(self) -> None:
-        """Remember what was sent last."""
-        self._sent[self._indices] = self._base
-        self._sent_time[self._indices] = self._base_time
-
-    @property
-    def written(self) -> Indices:
-        """(m,) the joints whose commands are sent, ascending; a new object whenever it changes."""
-        return self._indices
 
     def rectify(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The commands to send: base plus offsets, within limits, without a jump (command rectification).
@@ -168,7 +155,7 @@ class ValorEscherHWInterface:
         Returns:
             (m,) position [rad or m], velocity [1/s], acceleration [1/s²] of the joints ``written``.
         """
-        indices, base, limits = self._indices, self._base, self._selected
+        indices, base, limits = self.written, self._base, self._selected
         wanted = self.command_position[indices] + self.command_offset[indices]
         step = limits.fastest * min(max(0, self.time - self._base_time) * 1e-9, LONGEST_STEP) + 1e-9
         self._base_time = self.time

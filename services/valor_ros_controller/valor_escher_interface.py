@@ -28,7 +28,7 @@ from valor.common.messages import (
 from valor.robot.commanded_limits import Indices
 from valor.valor_ros_controller.behavior_commander import Commander
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
-from valor.valor_ros_controller.controllers.control_mode_controller import ModeReport
+from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")

@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 import bifrost
+from bifrost.cli import Catalogue
 from bifrost.cli.__main__ import app
 from harness.bifrost_network import (
     Answer,
@@ -66,12 +67,32 @@ def completed(*words: str) -> list[str]:
 def test_names_of_what_is_there_are_completed(net: BifrostNetwork) -> None:
     net.peer("publish", "lab/sample", "200")
     node = net.node("serving")
-    node.server("lab/ask", Question, Answer, lambda question: Answer("", 0))
+    node.server("lab/ask", Question, Answer, lambda question, origin: Answer("", 0))
     node.subscriber("attic/sample", Sample)
     registered(net, "publish_peer", "serving")
     until(lambda: completed("topic", "hz", "lab/") == ["lab/sample"], "the topic is offered")
     until(lambda: completed("topic", "echo", "") == ["attic/sample", "lab/sample"], "all topics are offered")
     until(lambda: completed("service", "call", "l") == ["lab/ask"], "the service is offered")
+
+
+def test_a_larger_command_lines_catalogue_stands_beside_what_there_is(net: BifrostNetwork) -> None:
+    net.peer("publish", "lab/sample", "200")
+    registered(net, "publish_peer")
+    entries = {"lab/sample": {"rate_hz": 200.0, "may_publish": ["publish_peer"], "queue": None}}
+    catalogue = Catalogue({"Hz": "rate_hz"}, lambda: entries)
+
+    def told(*arguments: str) -> str:
+        result = CliRunner().invoke(app, ["topic", *arguments], obj=catalogue, catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    head, row = told("list").splitlines()
+    assert (head.split()[-1], row.split()[-1]) == ("Hz", "200")
+    assert told("info", "lab/sample").startswith(
+        "topic lab/sample\n  rate_hz: 200\n  may_publish: [publish_peer]\ntype"
+    )
+    assert json.loads(told("list", "--json"))[0]["catalogue"] == entries["lab/sample"]
+    assert json.loads(told("info", "lab/sample", "--json"))["catalogue"] == entries["lab/sample"]
 
 
 def test_nothing_is_completed_where_no_daemon_answers(bare_network: BifrostNetwork) -> None:

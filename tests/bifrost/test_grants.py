@@ -206,11 +206,10 @@ def test_a_daemon_without_its_key_says_so(net: BifrostNetwork, tmp_path: Path) -
 def test_a_record_with_another_key_loses_what_is_not_its_nodes() -> None:
     keys = {name: bifrost.network.KeyPair.new().public.decode() for name in ("arm", "recorder")}
     grants = Grants(keys, {OWNED: ("arm",)}, {SERVICE: ("arm",)})
+    ends: list[tuple[directory.Kind, str]] = [("publisher", OWNED), ("server", SERVICE), ("publisher", FREE)]
+    ends.append(("subscriber", OWNED))
     for key, kept in ((keys["arm"], 4), (keys["recorder"], 2), ("", 2)):
-        entries = tuple(
-            directory.Entry(kind, topic, (), (), "tcp://127.0.0.1:1", key=key)
-            for kind, topic in (("publisher", OWNED), ("server", SERVICE), ("publisher", FREE), ("subscriber", OWNED))
-        )
+        entries = tuple(directory.Entry(kind, topic, (), (), "tcp://127.0.0.1:1", key=key) for kind, topic in ends)
         record, refusals = directory.NodeRecord("node", 1, 1, "near", 1, entries).sifted(grants)
         assert (len(record.entries), len(refusals)) == (kept, 4 - kept)
 

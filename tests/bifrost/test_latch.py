@@ -52,7 +52,9 @@ def test_a_newcomer_hears_what_is_published_whoever_leaves_while_it_is_admitted(
 
         def first_leaves() -> None:
             first.close()
-            until(lambda: socket.getsockopt(zmq.EVENTS) & zmq.POLLIN, "the end of its subscription at the publisher")
+            until(
+                lambda: int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN, "the end of its subscription at the publisher"
+            )
 
         socket.meanwhile = first_leaves
         second = joined()

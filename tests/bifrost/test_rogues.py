@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 import pytest
@@ -91,7 +92,7 @@ def test_whatever_a_member_sends_is_delivered_whole_or_refused(net: BifrostNetwo
         """What the subscriber makes of a frame, and of a good one behind it."""
         rogue.send(frame)
         rogue.say(3, incarnation=8)
-        received = []
+        received: list[Any] = []
         while not received or received[-1].message != sample(3):
             one = subscriber.receive(timeout=60.0)
             assert one is not None, "the good one never came"
@@ -165,7 +166,7 @@ def test_well_framed_nonsense_is_refused_and_counted(net: BifrostNetwork, rogue:
     for parts in ([b""], [b"lab/sample"], [b"lab/sample\0"] * 40, [b"lab/sample\0" + bytes(5)] * 40):
         rogue.socket.send_multipart(parts)
     rogue.say(4)
-    counts = []
+    counts: list[int] = []
     while not counts or counts[-1] != 4:
         received = subscriber.receive(timeout=60.0)
         assert received is not None

@@ -14,6 +14,7 @@ import zmq
 import bifrost
 from bifrost import wire
 from bifrost.directory import Entry
+from bifrost.waiting import Waitable
 from harness.bifrost_network import (
     Answer,
     BifrostNetwork,
@@ -267,9 +268,10 @@ def test_a_loop_asks_and_goes_on(net: BifrostNetwork) -> None:
     assert subscriber.receive(timeout=20.0)
     client.ask(Question("sleep", 0.3), timeout=20.0)
     assert client.answer() is None
+    both: list[Waitable] = [subscriber, client]
     heard, answer = 0, None
     while answer is None:
-        ready = bifrost.wait([subscriber, client], timeout=20.0)
+        ready = bifrost.wait(both, timeout=20.0)
         assert ready
         heard += subscriber.latest() is not None
         answer = client.answer()

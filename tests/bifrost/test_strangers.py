@@ -282,7 +282,12 @@ def test_connections_that_say_nothing_or_half_a_greeting(party: Party) -> None:
 def test_a_replayed_handshake_gets_nothing(party: Party) -> None:
     """All that a member said once, word for word: the cookie in it was for that connection alone."""
     publishing = party.ports[1]
-    said = split(party.record(zmq.SUB, publishing, lambda socket: [listened(socket), socket.recv()]))
+
+    def hear(socket: zmq.Socket[bytes]) -> None:
+        listened(socket)
+        socket.recv()
+
+    said = split(party.record(zmq.SUB, publishing, hear))
     assert party.taps[-1].answered > GREETING + WELCOME + 500  # it has heard messages
     for port in party.ports:
         with sockets.create_connection(("127.0.0.1", port), timeout=5.0) as connection:

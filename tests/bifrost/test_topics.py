@@ -94,7 +94,7 @@ def test_what_a_queue_cannot_hold_is_counted(net: BifrostNetwork) -> None:
     large = sample(1, size=4000)
     for _ in range(6000):
         publisher.publish(large)
-    received = 0
+    received = last = 0
 
     def drained() -> bool:
         nonlocal received, last
@@ -105,7 +105,6 @@ def test_what_a_queue_cannot_hold_is_counted(net: BifrostNetwork) -> None:
                 return True
         return False
 
-    last = 0
     until(drained, "the message after the flood")
     assert subscriber.drops > 0
     assert received + subscriber.drops == last - first
@@ -143,7 +142,7 @@ def test_another_type_is_refused_and_both_are_named(net: BifrostNetwork) -> None
     connected(right, accepting)
     wrong.publish(Other(1.0))
     assert refusing.receive(timeout=0.2) is None
-    [error] = until(lambda: refusing.drain() == [] and refusing.mismatches, "the mismatch is known")
+    [error] = until(lambda: refusing.mismatches if refusing.drain() == [] else [], "the mismatch is known")
     assert isinstance(error, bifrost.SchemaError)
     for word in ("lab/sample", "publisher", "subscriber", "Other", "Sample"):
         assert word in str(error)
@@ -184,11 +183,12 @@ def test_who_comes_late_gets_the_last_of_a_latched_publisher_once(net: BifrostNe
     publisher.publish(sample(5))
     later = net.node("later").subscriber("lab/sample", Sample, queue=queue)
     anybody = net.node("anybody").subscribe_any("lab/sample", queue=queue)
-    for subscriber in (late, later, anybody):
+    everybody: tuple[bifrost.Subscriber[Any], ...] = (late, later, anybody)
+    for subscriber in everybody:
         received = subscriber.receive(timeout=60.0)
         assert received is not None and received.sequence == 6
     assert publisher.publish(sample(6)) == 7
-    for subscriber in (late, later, anybody):
+    for subscriber in everybody:
         received = subscriber.receive(timeout=60.0)
         assert received is not None and received.sequence == 7
         assert subscriber.receive(timeout=0.1) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import selectors
 import threading
 import time
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def test_a_poller_tells_once_of_each_that_may_have_something(net: BifrostNetwork
     server = subscribing.server("lab/serve", Sample, Sample, lambda request, origin: request)
     for publisher, subscriber in zip(publishers, subscribers, strict=True):
         connected(publisher, subscriber)
-    poller = bifrost.Poller([*subscribers, server])
+    poller = bifrost.Poller[Any]([*subscribers, server])
     try:
         assert poller.look() == [*subscribers, server]  # of what came before, nobody tells again
         server.serve()
@@ -119,7 +119,7 @@ def test_a_poller_tells_once_of_each_that_may_have_something(net: BifrostNetwork
         client = publishing.client("lab/serve", Sample, Sample)
         asking = threading.Thread(target=lambda: answers.append(client.call(sample(3), timeout=20.0)))
         asking.start()
-        taken = []
+        taken: list[Any] = []
 
         def look() -> bool:
             for item in poller.look():

@@ -252,7 +252,7 @@ def test_unsound_motors_are_refused_whole_and_move_nothing(instance: RunningInst
         good = client.command(state)
         client.publish(good)
         # The world goes on with the good one, which shows that the other was not obeyed and was not waited for.
-        after = client.answer_until(lambda s, sent=good.sequence: s.motor_sequence >= sent)
+        after = client.answer_until(lambda s, sent=good.sequence: s.motor_sequence >= sent)  # type: ignore[misc]
         assert after.motor_sequence >= good.sequence, kind
         assert np.abs(after.joint_effort).max() < 150, kind
         client.publish(client.command(after))  # the world waits for an answer to each of its states

@@ -180,8 +180,8 @@ def test_an_update_in_mid_walk(walker: Walker, record_property: Note) -> None:
         assert one == other
         assert math.dist(is_at.position, was_at.position) < EXACT, "what cannot be changed, and the step in common"
     for k in range(first + 1, len(merged)):  # the rest is moved rigidly
-        (_, one), (_, other), (_, a), (_, b) = merged[k - 1], merged[k], path[k - 1 - at], path[k - at]
-        assert math.dist((one.inverse() @ other).position, (a.inverse() @ b).position) < EXACT
+        (a, b), (c, d) = ([sole for _, sole in pair] for pair in (merged[k - 1 : k + 1], path[k - 1 - at : k + 1 - at]))
+        assert math.dist((a.inverse() @ b).position, (c.inverse() @ d).position) < EXACT
     check_feet(walker, dict(merged), before, record_property)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from harness.instance import RunningInstance
+from harness.motion_system import STANDING, MotionSystem
 from harness.waiting import wait_until
-from tests.integration.test_motion_manager import STANDING, MotionSystem
 from valor.common.behaviors import Behavior
 from valor.common.messages import (
     Footstep,

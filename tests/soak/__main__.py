@@ -88,7 +88,7 @@ def _arguments() -> argparse.Namespace:
 
 def _plan(arguments: argparse.Namespace, soak: Soak, began: float) -> Iterator[tuple[str, str, random.Random]]:
     def late() -> bool:
-        return time.monotonic() - began > 60.0 * arguments.minutes
+        return bool(time.monotonic() - began > 60.0 * arguments.minutes)
 
     if arguments.rows is not None:
         wanted = arguments.rows or rows.everything(soak.events)

@@ -162,7 +162,7 @@ def _requests(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     found = []
     for _ in range(8):
         answered = time.monotonic()
-        rig.wait(lambda since=answered: rig.tap.told > since, "a MotionState after the last answer")
+        rig.wait(lambda since=answered: rig.tap.told > since, "a MotionState after the last answer")  # type: ignore[misc]
         before = rig.behavior
         target = rng.choice([each for each in Behavior if each not in (Behavior.FALL, Behavior.GET_UP)])
         reply = rig.ask(target)

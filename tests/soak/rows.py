@@ -12,7 +12,7 @@ import os
 import re
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +22,15 @@ from tests.soak.rules import BY_ITSELF
 if TYPE_CHECKING:
     from tests.soak.run import Outcome
 
-HEAD = "| event | the robot is | times | then | ready after [s] |"
+HEAD = "| event | goes on while | else | times | ready after [s] |"
 GOES_ON, NOT_WELL = "goes on", "not well within 60 s"
 _MANAGER = "tests/integration/test_motion_manager.py::"
+_KILLED = "tests/integration/test_motion_manager_killed.py::"
 _HARDWARE = "tests/integration/test_hardware.py::"
 _RECORDER = "tests/integration/bag_recorder/test_losses.py::"
 _DRIVER = "tests/integration/test_hdt_arms.py::test_driver_and_bridge_may_die_and_come_back_without_a_jump"
-_HELD = f"{_MANAGER}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
-_MIDDLE = f"{_MANAGER}test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
+_HELD = f"{_KILLED}test_whoever_is_killed_no_joint_moves_until_somebody_commands_it"
+_MIDDLE = f"{_KILLED}test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand"
 # fmt: off
 HELD_BY: Mapping[tuple[str, str, str], str] = {
     ("kill motion_manager", "standing", "sim"): _HELD,
@@ -37,11 +38,11 @@ HELD_BY: Mapping[tuple[str, str, str], str] = {
     ("kill motion_manager", "fallen", "sim"): _HELD,
     ("kill motion_manager", "walking", "sim"): _MIDDLE,
     ("stop motion_manager 7 s", "walking", "sim"): _MIDDLE,
-    ("kill comms_manager", "standing", "sim"): f"{_MANAGER}test_a_killed_comms_manager_is_a_fall_with_its_reason",
+    ("kill comms_manager", "standing", "sim"): f"{_KILLED}test_a_killed_comms_manager_is_a_fall_with_its_reason",
     ("kill motion_manager and comms_manager", "standing", "sim"):
-        f"{_MANAGER}test_both_managers_killed_the_robot_is_not_brought_to_its_feet",
+        f"{_KILLED}test_both_managers_killed_the_robot_is_not_brought_to_its_feet",
     ("kill valor_ros_controller", "reaching", "sim"):
-        "tests/integration/vrc/test_ros_controller.py::test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold",
+        "tests/integration/vrc/test_when_processes_die.py::test_killed_it_comes_back_with_the_true_mode_and_the_arms_hold",
     ("kill bifrostd", "standing", "sim"):
         "tests/bifrost/test_daemon.py::test_data_flows_while_the_daemon_is_dead_and_all_register_again",
     ("kill bag_recorder", "standing", "sim"):
@@ -131,41 +132,33 @@ def to_do(file: Path | None, profile: str, wanted: Sequence[str], times: int) ->
                 done[row] += 1
 
 
-def table(outcomes: Sequence[Mapping[str, Any]], profile: str) -> list[str]:
-    """The lines of a profile's table in Markdown: of what is measured alike a line for every way in which it ends."""
-    made = _measured(outcomes, profile)
-    alike: dict[tuple[int | None, str], list[tuple[str, str]]] = defaultdict(list)
-    activities = list(ACTIVITIES)
-    for event, activity in sorted(made, key=lambda row: (_line_of(row[0]), activities.index(row[1]), row[0])):
-        alike[_line_of(event), verdict(made[event, activity])].append((event, activity))
-    lines = [_line(then, {row: made[row] for row in rows}) for (_, then), rows in alike.items()]
-    return [HEAD, "|" + HEAD.count(" | ") * "---|" + "---|", *lines]
+def table(outcomes: Iterable[Mapping[str, Any]], profile: str) -> list[str]:
+    """The lines of a profile's table in Markdown: a row for what is measured together and ends in the same ways."""
+    made: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for each in _measured(outcomes, profile):
+        made[each["event"]].append(each)
+    alike: dict[tuple[int | None, frozenset[str]], list[str]] = defaultdict(list)
+    for event in sorted(made, key=lambda each: (_line_of(each), each)):
+        alike[_line_of(event), frozenset(_word(each) for each in made[event])].append(event)
+    rows = [_row(events, [each for event in events for each in made[event]]) for events in alike.values()]
+    return [HEAD, "|" + HEAD.count(" | ") * "---|" + "---|", *rows]
 
 
-def farthest(outcomes: Sequence[Mapping[str, Any]], profile: str) -> float:
+def farthest(outcomes: Iterable[Mapping[str, Any]], profile: str) -> float:
     """How far a joint went at most that was to stay where it is [rad]; not a number where none was."""
     still = [
         each["moved"]
-        for (_, activity), every in _measured(outcomes, profile).items()
-        if ACTIVITIES[activity].held and "fall" not in verdict(every).split(", ")
-        for each in every
+        for each in _measured(outcomes, profile)
+        if ACTIVITIES[each["activity"]].held and _word(each) != "fall" and not math.isnan(each["moved"])
     ]
-    return max((each for each in still if not math.isnan(each)), default=math.nan)
+    return max(still, default=math.nan)
 
 
-def _measured(outcomes: Iterable[Mapping[str, Any]], profile: str) -> dict[tuple[str, str], list[Mapping[str, Any]]]:
-    """Of a profile, by event and activity."""
-    made: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
+def _measured(outcomes: Iterable[Mapping[str, Any]], profile: str) -> Iterator[Mapping[str, Any]]:
     for each in outcomes:
         begun = bool(each["before"])  # else the robot never came to do that
         if each["profile"] == profile and begun and _line_of(each["event"]) is not None:
-            made[each["event"], each["activity"]].append(each)
-    return made
-
-
-def verdict(outcomes: Sequence[Mapping[str, Any]]) -> str:
-    """What the robot does, in a word; in several where it was not always the same, the most frequent first."""
-    return ", ".join(word for word, _ in Counter(_word(each) for each in outcomes).most_common())
+            yield each
 
 
 def _word(outcome: Mapping[str, Any]) -> str:
@@ -177,12 +170,18 @@ def _word(outcome: Mapping[str, Any]) -> str:
     return GOES_ON if on else str(after)
 
 
-def _line(then: str, made: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]) -> str:
-    events = ", ".join(sorted({event for event, _ in made}))
-    robot = ", ".join(each for each in ACTIVITIES if each in {activity for _, activity in made})
-    every = [each for outcomes in made.values() for each in outcomes]
-    ready = [each["ready"] for each in every if not math.isnan(each["ready"])]
-    return f"| {events} | {robot} | {len(every)} | {then} | {f'{max(ready):.1f}' if ready else '–'} |"
+def _row(events: Sequence[str], outcomes: Sequence[Mapping[str, Any]]) -> str:
+    ends: dict[str, set[str]] = defaultdict(set)
+    for each in outcomes:
+        ends[_word(each)].add(each["activity"])
+    on = _in_order(ends.pop(GOES_ON, set())) or "–"
+    other = "; ".join(f"{word}: {_in_order(activities)}" for word, activities in sorted(ends.items())) or "–"
+    ready = [each["ready"] for each in outcomes if not math.isnan(each["ready"])]
+    return f"| {', '.join(events)} | {on} | {other} | {len(outcomes)} | {f'{max(ready):.1f}' if ready else '–'} |"
+
+
+def _in_order(activities: Collection[str]) -> str:
+    return ", ".join(each for each in ACTIVITIES if each in activities)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ PERIOD = 0.002
 
 def pace(periods: list[float]) -> Pace:
     wall = 1000.0 + np.concatenate(([0.0], np.cumsum(periods)))
-    return Pace(wall, PERIOD * np.arange(len(wall)))
+    return Pace(wall, PERIOD * np.arange(len(wall), dtype=float))
 
 
 def test_a_second_that_stood_is_the_worst_and_the_whole_has_less_of_it() -> None:

@@ -38,7 +38,10 @@ class Loop:
         columns = np.array(self.rows).T
         half = len(self.rows) // 2  # in two messages
         parts = [columns[:, :half], columns[:, half:]]
-        traces = [Trace(self.service, part[0].astype(np.uint8), *part[1:], 1e-6, 2e-6, 1e-4) for part in parts]
+        traces = [
+            Trace(self.service, part[0].astype(np.uint8), *part[1:], 1e-6, 2e-6, 1e-4)  # type: ignore[call-arg]
+            for part in parts
+        ]
         return Lane.of(self.service, traces)
 
 

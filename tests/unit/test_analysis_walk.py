@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -102,8 +102,7 @@ def test_a_walk_of_no_time_has_no_speed() -> None:
     states, measured = walk()
     figures = Figures.of(Track.heard(states, measured, ROBOT))
     assert figures.speed == pytest.approx(SPEED)
-    assert Figures(*[0.0 if field.name == "duration" else getattr(figures, field.name)
-                     for field in fields(Figures)]).speed == 0.0  # fmt: skip
+    assert replace(figures, duration=0.0).speed == 0.0
 
 
 def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> None:
@@ -111,7 +110,7 @@ def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> 
     clocks = [ClockStatus("lockstep", round(1e9 * k * 0.1), 1.0, 0.5 * k, k * k, False) for k in range(9)]
     bag = recording(tmp_path / "clock.mcap", *states, *measured, *clocks)
     track = Track.of(bag).between(0.2, 0.5)
-    assert Timeliness.of(bag, track) == Timeliness(0, 25 - 4, pytest.approx(1.5))
+    assert Timeliness.of(bag, track) == Timeliness(0, 25 - 4, pytest.approx(1.5))  # type: ignore[arg-type]
     assert Timeliness.of(bag, Track.of(bag)).deadlines_missed == LATE
     silent = recording(tmp_path / "no_clock.mcap", *states, *measured)
     assert Timeliness.of(silent, track) == Timeliness(0, 0, 0.0)
@@ -119,11 +118,11 @@ def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> 
 
 
 @given(st.lists(st.booleans(), max_size=30))
-def testruns_are_the_runs_of_contact(touching: list[bool]) -> None:
-    runs = runs(np.array(touching, dtype=bool))
-    covered = [i for first, last in runs for i in range(first, last + 1)]
+def test_stands_are_the_runs_of_contact(touching: list[bool]) -> None:
+    stands = runs(np.array(touching, dtype=bool))
+    covered = [i for first, last in stands for i in range(first, last + 1)]
     assert covered == [i for i, each in enumerate(touching) if each]
-    assert all(before[1] + 1 < after[0] for before, after in pairwise(runs))
+    assert all(before[1] + 1 < after[0] for before, after in pairwise(stands))
 
 
 def truth(k: int, pose: tuple[FloatArray, FloatArray], left: bool, right: bool) -> GroundTruth:

@@ -89,7 +89,7 @@ def test_our_own_arrays_are_named_by_the_robots_joints(tmp_path: Path) -> None:
     bag.add_metadata("valor", {"joints": " ".join(ROBOT.joints)})  # as the recorder does
     n = len(ROBOT.joints)
     for i in range(5):
-        motor = Motor(7, i, 3, np.full(n, 2, np.uint8), *np.full((5, n), float(i)), "stand", 1)
+        motor = Motor(7, i, 3, np.full(n, 2, np.uint8), *np.full((5, n), float(i)), "stand", 1)  # type: ignore[call-arg]
         received = bifrost.Received(motor, stamp=i, sequence=i, origin="test")
         bag.write(topic, i, i, i, encode(received, i))
     bag.close()

@@ -51,7 +51,7 @@ def test_the_splits_of_a_recording_are_one_bag_in_their_order(tmp_path: Path) ->
         assert (reader.start_time, reader.end_time) == (1000, 3003)
         assert {each.topic: each.msgcount for each in reader.connections} == {"/numbers": 7, "/words": 9}
         (words,) = (each for each in reader.connections if each.topic == "/words")
-        assert words.ext.offered_qos_profiles[0].durability == QosDurability.TRANSIENT_LOCAL  # type: ignore[union-attr]
+        assert words.ext.offered_qos_profiles[0].durability == QosDurability.TRANSIENT_LOCAL
         assert [stamp for connection, stamp, _ in reader.messages() if connection.topic == "/words"] == [
             *range(1000, 1005), *range(2000, 2004)
         ]  # fmt: skip

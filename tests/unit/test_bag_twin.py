@@ -24,7 +24,7 @@ from valor.common.topics import TOPICS
 MESSAGES = sorted({topic.type for topic in TOPICS}, key=lambda message: message.__name__)
 ENCODERS = {message: TwinEncoder(message) for message in MESSAGES}
 SECOND = 1_000_000_000
-TEXT = st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=20)
+TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     "bool": st.booleans(),
     "int": st.integers(-(2**63), 2**63 - 1),

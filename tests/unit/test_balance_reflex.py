@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from harness.still_robot import ROBOT, N, Robot
 from harness.walking_robot import Then, WalkingRobot
-from tests.unit.test_motion_manager_periods import ROBOT, N, Robot
 from valor.common.behaviors import INTERNAL_STATES, REFLEX, Behavior, Locomotion
 from valor.whole_body.reflex import FAULTY, BalanceReflex
 

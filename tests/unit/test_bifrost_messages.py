@@ -133,7 +133,8 @@ def test_bytes_that_are_no_whole_number_of_doubles_are_refused(length: int) -> N
 
 
 def test_an_array_that_is_no_bytes_is_refused() -> None:
-    for value in ([1.0, 2.0], "text", 5, None, {}):
+    values: tuple[object, ...] = ([1.0, 2.0], "text", 5, None, {})
+    for value in values:
         with pytest.raises((ValueError, msgspec.DecodeError)):
             bifrost.codec(Inner).decode(msgspec.msgpack.encode([value, "name"]))
 
@@ -149,7 +150,7 @@ def test_an_array_that_is_no_bytes_is_refused() -> None:
         ({"octets": np.zeros(1)}, r"Everything\.octets: expected a one-dimensional uint8 array, got float64"),
         ({"inner": Inner(np.zeros(1, int), "")}, r"Everything\.inner\.values: .* got int64"),
         ({"inners": [Inner(np.zeros(1), ""), Inner(np.zeros((1, 1)), "")]}, r"Everything\.inners\[1\]\.values"),
-        ({"maybe": Inner(b"", "")}, r"Everything\.maybe\.values: .* got bytes"),
+        ({"maybe": Inner(b"", "")}, r"Everything\.maybe\.values: .* got bytes"),  # type: ignore[arg-type]
     ],
 )  # fmt: skip
 def test_what_would_be_misread_is_not_sent(fields: dict[str, Any], message: str) -> None:
@@ -217,6 +218,7 @@ def test_an_array_is_known_by_its_mark_alone() -> None:
     message = Marked(np.arange(3.0), np.arange(8, dtype=np.uint8), [np.zeros(16, np.uint8)], np.ones(1))
     for again in (codec.decode(codec.encode(message)), bifrost.from_builtins(Marked, bifrost.to_builtins(message))):
         assert again == message
+        assert again.maybe is not None
         assert again.reals.dtype == again.maybe.dtype == np.float64
         assert again.octets.dtype == again.many[0].dtype == np.uint8
     for field, wrong in {"reals": np.zeros(8, np.uint8), "octets": np.zeros(1), "maybe": np.zeros(8, np.uint8)}.items():

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from bifrost import directory as d
-from bifrost.neighbors import Neighbors, Watch
+from bifrost.neighbors import Neighbors, Peer, Watch
 from harness.examples import examples
 
 _ENTRIES = st.lists(
@@ -27,7 +30,8 @@ COMPUTERS = dict(enumerate(("there", HERE, "afar", HERE, "there", HERE)))  # by 
 _INCARNATIONS = st.integers(1, 4)
 _REASONS = st.sampled_from(["left", "lost", "silent", "forgotten", "unreachable"])
 _MAYBE_ALIVE = ("silent", "forgotten", "unreachable")
-_KEYS = [(kind, topic) for kind in ("publisher", "server") for topic in "abc"]
+_KINDS: tuple[d.Kind, ...] = ("publisher", "server")
+_KEYS = [(kind, topic) for kind in _KINDS for topic in "abc"]
 
 
 def _record(incarnation: int, entries: tuple[d.Entry, ...]) -> d.NodeRecord:
@@ -43,14 +47,14 @@ class Model(RuleBasedStateMachine):
         self.present: dict[int, tuple[d.Entry, ...]] = {}
         self.departed: dict[int, tuple[tuple[d.Entry, ...], bool]] = {}
         self.own: list[d.Entry] = []
-        self.told: dict[tuple[str, str], int] = dict.fromkeys(_KEYS, 0)
-        self.seen = dict.fromkeys(_KEYS, ((), 0))
-        self.watches = {}
+        self.told = dict.fromkeys(_KEYS, 0)
+        self.seen: dict[tuple[d.Kind, str], tuple[tuple[Peer, ...], int]] = dict.fromkeys(_KEYS, ((), 0))
+        self.watches: dict[tuple[d.Kind, str], Watch] = {}
         for kind, topic in _KEYS:
-            self.watches[kind, topic] = Watch(kind, topic, lambda key=(kind, topic): self._tell(key))
+            self.watches[kind, topic] = Watch(kind, topic, partial(self._tell, (kind, topic)))
             self.neighbors.watch(self.watches[kind, topic])
 
-    def _tell(self, key: tuple[str, str]) -> None:
+    def _tell(self, key: tuple[d.Kind, str]) -> None:
         self.told[key] += 1
 
     @rule(incarnation=_INCARNATIONS, entries=_ENTRIES)
@@ -135,15 +139,20 @@ def test_of_a_node_with_many_topics_only_those_that_change_are_looked_at(number:
     def entry(i: int, endpoint: str = "tcp://1") -> d.Entry:
         return d.Entry("publisher", f"topic_{i}", ("T",), ("00",), endpoint)
 
-    neighbors, looked = Neighbors(HERE), []
+    neighbors, looked = Neighbors(HERE), list[int]()
     neighbors.put(_record(1, tuple(entry(i) for i in range(number))))
     for i in range(number):
-        neighbors.watch(Watch("publisher", f"topic_{i}", lambda i=i: looked.append(i)))
+        neighbors.watch(Watch("publisher", f"topic_{i}", partial(looked.append, i)))
     neighbors.refresh()
     neighbors.put(_record(1, tuple(entry(i, "tcp://2" if i == number // 2 else "tcp://1") for i in range(number))))
     with pytest.MonkeyPatch.context() as patch:
-        peers, counted = neighbors._peers, []
-        patch.setattr(neighbors, "_peers", lambda *key: counted.append(key) or peers(*key))
+        peers, counted = neighbors._peers, list[tuple[d.Kind, str]]()
+
+        def counting(*key: Any) -> tuple[Peer, ...]:
+            counted.append(key)
+            return peers(*key)
+
+        patch.setattr(neighbors, "_peers", counting)
         neighbors.refresh()
     assert looked == [number // 2]
     assert counted == [("publisher", f"topic_{number // 2}")]

@@ -17,9 +17,10 @@ from valor.robot.limiter import Limiter
 from valor.valor_ros_controller.controllers.configuration import ControllersTable, Settings
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ARM = "right_arm_traj_controller"
@@ -94,10 +95,11 @@ class Follower:
 
     def worst_error(self, trajectory: Trajectory, start: int, period: int) -> FloatArray:
         """(n,) How far behind, or ahead of, a trajectory it ever is."""
-        position, velocity, acceleration = np.zeros((3, len(self._limiter.position)))
+        state = np.zeros((3, len(self._limiter.position)))
+        position, velocity, _ = state
         worst = np.zeros_like(position)
         for time in range(start + period, trajectory.end + 10 * period, period):
-            trajectory.sample(time, position, velocity, acceleration)
+            trajectory.sample(time, state)
             self._limiter.advance(position, velocity, period * 1e-9)
             worst = np.maximum(worst, np.abs(self._limiter.position - position))
         return worst
@@ -120,8 +122,8 @@ def journeys(draw: st.DrawFn, limits: CommandedLimits) -> tuple[FloatArray, list
         peak = {1: 1.0, 3: 1.5, 5: 1.875}[order]
         time += max(0.004, peak * float((np.abs(there - here) / limits.velocity).max()) / hurry)
         moving = rng.uniform(-0.3, 0.3, len(here)) * limits.velocity * (i < count - 1) * draw(st.booleans())
-        rates = ([], [], []) if order == 1 else (moving, [], []) if order == 3 else (moving, 0.0 * moving, [])
-        points.append(Point(there, *rates, time))
+        velocity, acceleration = list(moving) if order > 1 else [], list(0.0 * moving) if order > 3 else []
+        points.append(Point(list(there), velocity, acceleration, [], time))
         here = there
     return start, points
 
@@ -137,7 +139,7 @@ def test_what_is_accepted_is_followed_to_within_the_path_tolerance(robot: str, n
     still, now = np.zeros_like(start), 1_000_000_000
     try:
         waypoints = check_waypoints(limits.names, points, limits)
-        trajectory = Trajectory.begin(waypoints, 0, now, (start, still, still), limits, error=tolerance)
+        trajectory = begin(waypoints, 0, now, np.array((start, still, still)), limits, error=tolerance)
     except InvalidTrajectoryError:
         return
     worst = Follower(limits, start).worst_error(trajectory, now, round(1e9 * hw.robot.control_period))
@@ -151,7 +153,7 @@ def test_to_and_fro_at_the_greatest_speed_is_followed_to_within_the_path_toleran
     everything = hw.limits(hw.group_indices(config.groups))
     tolerance, period = Settings.of(config, len(everything.names)).path.position, hw.robot.control_period
     limits = CommandedLimits(
-        everything.names, everything.units, *np.full((2, len(tolerance)), np.inf) * [[-1.0], [1.0]],
+        everything.names, everything.units, np.full(len(tolerance), -np.inf), np.full(len(tolerance), np.inf),
         everything.velocity, everything.acceleration, everything.effort,
     )  # fmt: skip
     speed = limits.jumping_velocity(tolerance)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from harness.bifrost_network import BifrostNetwork, until
-from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, N, Robot
-from valor.common.behaviors import REFLEX
+from harness.still_robot import PERIOD, ROBOT, N, Robot
+from valor.common.behaviors import REFLEX, Reaction
 from valor.common.messages import JointMode, Motor
 from valor.common.topics import MOTOR
 from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
@@ -66,7 +66,7 @@ class Devices:
         self._publisher.publish(motor(0, behavior=REFLEX))  # is passed over, if it comes later
         return self._subscriber.receive(timeout=SOON) is not None
 
-    def measure(self, periods: int = 1, demand: str = "keep_balance", **changes: Any) -> None:
+    def measure(self, periods: int = 1, demand: Reaction = Reaction.KEEP_BALANCE, **changes: Any) -> None:
         """So many periods later the devices say that the robot stands."""
         self.sequence += periods
         self._robot.time, self._robot.sequence = self.sequence * PERIOD, self.sequence
@@ -81,14 +81,24 @@ class Devices:
         commands = self.commands
         admitted, before = commands.leader.admitted, commands.leader.admitted + commands.refused
         self.say(**changes)
-        until(lambda: commands.take() or commands.leader.admitted + commands.refused > before, "a Motor is considered")
+
+        def considered() -> bool:
+            commands.take()
+            return commands.leader.admitted + commands.refused > before
+
+        until(considered, "a Motor is considered")
         assert commands.leader.admitted + commands.refused == before + 1
         return commands.leader.admitted > admitted
 
     def leave(self) -> None:
         """The Motion Manager is gone, and that is known."""
         self._speaker.close()
-        until(lambda: self.commands.take() or not self._subscriber.publishers, "nobody publishes Motor")
+
+        def nobody() -> bool:
+            self.commands.take()
+            return not self._subscriber.publishers
+
+        until(nobody, "nobody publishes Motor")
 
     def close(self) -> None:
         """End it all."""
@@ -263,7 +273,12 @@ def test_who_listens_takes_what_is_there_and_counts_no_miss(devices: Devices) ->
     assert (commands.leader.admitted, commands.waits_timed_out, commands.leader.silent) == (1, 0, False)
     for _ in range(3):
         devices.say()
-    until(lambda: commands.listen(0.0) or commands.leader.admitted == 4, "all are taken, without waiting")
+
+    def taken() -> bool:
+        commands.listen(0.0)
+        return commands.leader.admitted == 4
+
+    until(taken, "all are taken, without waiting")
     assert commands.drops == 0
 
 
@@ -304,7 +319,7 @@ def test_what_the_reflex_lets_go_stays_limp_and_is_kept(devices: Devices) -> Non
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    devices.measure(demand="limp")
+    devices.measure(demand=Reaction.LIMP)
     assert (commands.leader.silent, commands.leader.limp) == (True, True)
     assert commands.leader.motor is not None
     assert commands.leader.motor.behavior == devices.latch.behavior == "fall"

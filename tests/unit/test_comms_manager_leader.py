@@ -5,20 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from tests.unit.test_motion_manager_periods import ROBOT, Robot
-from valor.common.behaviors import REFLEX, Behavior
+from harness.still_robot import ROBOT, Robot
+from valor.common.behaviors import REFLEX, Behavior, Reaction
 from valor.common.messages import BehaviorReply, BehaviorRequest, Motor
 from valor.comms_manager.latch import BehaviorLatch
 from valor.comms_manager.leader import FALL, FREEZE, SOFT_STOP, Leader, drives
 from valor.whole_body.reflex import BalanceReflex
 
 STOPS = (FALL, FREEZE, SOFT_STOP)
-LIFTED = {"left_foot_wrench": np.zeros(6)}
+LIFTED: dict[str, Any] = {"left_foot_wrench": np.zeros(6)}
 SOON = round(0.1 / ROBOT.control_period)  # periods
 
 
@@ -29,7 +30,9 @@ class Bench(Robot):
         super().__init__()
         self.leader = leader
 
-    def live(self, periods: int = 1, *, led: bool = False, demand: str = "keep_balance", **changes: object) -> Motor:
+    def live(
+        self, periods: int = 1, *, led: bool = False, demand: Reaction = Reaction.KEEP_BALANCE, **changes: Any
+    ) -> Motor:
         """Periods with or without its Motion Manager; returns the Motor in force."""
         for _ in range(periods):
             motor = self.tick(motor_behavior=self.leader.behavior, **changes)
@@ -240,7 +243,7 @@ def test_a_motion_manager_beside_the_reflex_lets_the_robot_go(walking: Bench) ->
 
 def test_a_robot_that_the_devices_let_go_stays_so_when_its_motion_manager_is_back(walking: Bench) -> None:
     walking.live(10, led=True)
-    walking.live(demand="limp")
+    walking.live(demand=Reaction.LIMP)
     assert walking.leader.limp
     walking.live(10, led=True)
     assert walking.behavior is Behavior.FALL

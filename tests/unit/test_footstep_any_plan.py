@@ -41,7 +41,8 @@ def rotation(q: np.ndarray) -> np.ndarray:
     """(3, 3) of a quaternion (w, x, y, z)."""
     w, v = q[0], q[1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    matrix: np.ndarray = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    return matrix
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness.examples import examples
 from valor.common.freshness import WINDOW, Freshness
-from valor.common.topics import CLOCK, MOTOR, STEP_STATUS, VELOCITY
+from valor.common.topics import CLOCK, MOTOR, STEP_STATUS, VELOCITY, Topic
 
 RATE = 500.0
 
@@ -34,7 +35,7 @@ class Bench:
     velocity: Count = field(default_factory=Count)
 
     def __post_init__(self) -> None:
-        inputs = {MOTOR: self.motor, STEP_STATUS: self.steps, VELOCITY: self.velocity}
+        inputs: dict[Topic[Any], Count] = {MOTOR: self.motor, STEP_STATUS: self.steps, VELOCITY: self.velocity}
         self.freshness = Freshness(inputs, RATE, lambda: round(self.robot * 1e9), lambda: self.wall)
 
     def run(self, seconds: float, motor: float, steps: float = 10.0, factor: float = 1.0) -> set[str]:

@@ -71,7 +71,7 @@ def bridge(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterat
 def state(number: int) -> HdtState:
     n = 7
     four = (np.full(n, float(number + i)) for i in range(4))
-    return HdtState(number, number, number - 1, *four, 48.5, np.full(n, number % 256, dtype=np.uint8))
+    return HdtState(number, number, number - 1, *four, 48.5, np.full(n, number % 256, dtype=np.uint8))  # type: ignore[arg-type, call-arg]
 
 
 def said(message: HdtState) -> RosState:

@@ -53,7 +53,7 @@ def test_states_arrive_as_they_were_said(data: st.DataObject, k: int, segment: i
     numbers = {name: data.draw(vectors(k)) for name in ("position", "velocity", "effort")}
     temperature = np.array(data.draw(st.lists(st.integers(-40, 120), min_size=k, max_size=k)), dtype=float)
     fault = np.array(data.draw(st.lists(st.integers(0, 15), min_size=k, max_size=k)), dtype=np.uint8)
-    said = SegmentState(7, 65535, 47.93, *numbers.values(), temperature, fault)
+    said = SegmentState(7, 65535, 47.93, *numbers.values(), temperature, fault)  # type: ignore[arg-type, call-arg]
     frame = hdt_bus.state(segment, said)
     assert len(frame.data) in can.util.CAN_FD_DLC
     heard = hdt_bus.parse_state(frame, k)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ K = len(PLACES)
 HOME = np.array([ROBOT.tables.arm_presets["home"]["right"][joint] for joint in ROBOT.tables.groups[ARM]])
 
 
-def asked(position: np.ndarray, **changes: object) -> Setpoints:
+def asked(position: np.ndarray, **changes: Any) -> Setpoints:
     zero = np.zeros(K)
     whole = Setpoints(np.full(K, 2, np.uint8), position, zero, zero, zero + 300.0, zero + 12.0)
     return replace(whole, **changes)

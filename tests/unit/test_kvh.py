@@ -89,7 +89,10 @@ def test_what_the_robot_feels_arrives_and_becomes_an_attitude(bench: Bench) -> N
         feel(0.2, -0.1, 0.0, (0.4, -0.3, 0.2))
         wait_until(lambda: abs(newest(driver).angular_velocity[0] - 0.4) < 1e-5, 10, "its rate")
         np.testing.assert_allclose(newest(driver).angular_velocity, [0.4, -0.3, 0.2], atol=1e-6)
-        turned = lambda: 2.0 * np.arccos(min(1.0, abs(float(found @ newest(driver).orientation))))  # noqa: E731
+
+        def turned() -> float:
+            return float(2.0 * np.arccos(min(1.0, abs(float(found @ newest(driver).orientation)))))
+
         wait_until(lambda: turned() > 0.25, 10, "it has turned half a second or so")
 
 

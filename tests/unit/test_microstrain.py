@@ -60,8 +60,10 @@ def test_samples_come_at_the_rate_of_the_table(bench: Bench) -> None:
 def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: Bench) -> None:
     driver, stopping = bench.driver(), threading.Event()
     driver.find()
-    assert isinstance(driver, MicroStrain) and driver._port is not None
-    wait_until(lambda: driver._port.in_waiting > 2000, 10, "twenty-five samples that nobody fetched")
+    assert isinstance(driver, MicroStrain)
+    port = driver._port
+    assert port is not None
+    wait_until(lambda: port.in_waiting > 2000, 10, "twenty-five samples that nobody fetched")
     thread = threading.Thread(target=driver.run, args=(stopping,))
     thread.start()
     try:

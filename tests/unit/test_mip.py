@@ -62,7 +62,7 @@ def test_both_ends_sum_alike(data: bytes) -> None:
 @given(st.lists(PACKETS, max_size=5), st.data())
 def test_packets_arrive_whatever_pieces_the_line_cuts_them_into(packets: list[Packet], data: st.DataObject) -> None:
     line = b"".join(encode(p.descriptor_set, p.fields) for p in packets)
-    stream, found = PacketStream(), []
+    stream, found = PacketStream(), list[Packet]()
     while line:
         size = data.draw(st.integers(1, len(line)))
         found += stream.feed(line[:size])

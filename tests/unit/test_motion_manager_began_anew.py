@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, Robot, tilted
+from harness.still_robot import PERIOD, ROBOT, Robot, tilted
 from valor.common.behaviors import Behavior
 from valor.common.messages import JointMode
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -17,7 +19,7 @@ FOUND[ARMS] = np.clip(FOUND[ARMS] + 0.4, ROBOT.lower[ARMS], ROBOT.upper[ARMS])
 BALANCED = [behavior for behavior in Behavior if behavior.balancing]
 
 
-def begin(behavior: str, seconds: float = 0.2, **changes: object) -> Robot:
+def begin(behavior: str, seconds: float = 0.2, **changes: Any) -> Robot:
     """A new process' Motion Manager in its first periods with a robot that was left in a behavior."""
     robot = Robot()
     robot.run(seconds, motor_behavior=behavior, **changes)
@@ -58,7 +60,7 @@ def test_no_joint_is_moved(behavior: str) -> None:
     ],
 )
 def test_one_that_balanced_and_does_not_stand_any_more_is_let_go(
-    behavior: Behavior, condition: dict[str, object], reason: str
+    behavior: Behavior, condition: dict[str, Any], reason: str
 ) -> None:
     robot = begin(behavior, **condition)
     assert robot.behavior is Behavior.FALL

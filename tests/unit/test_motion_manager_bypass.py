@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bifrost import Received
-from tests.unit.test_motion_manager_periods import ROBOT, Robot
+from harness.still_robot import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
 from valor.motion_manager.handlers.hand_goal import HandGoalHandler

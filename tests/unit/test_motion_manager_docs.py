@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
+from typing import Any
 
 import pytest
 
@@ -17,7 +18,7 @@ from valor.motion_manager.states.transitions import (
 )
 
 # Those of Locomotion follow from the behaviors' (test_behavior_tables), and the page says so.
-TRANSITIONS: dict[type[StrEnum], Mapping] = {  # type: ignore[type-arg]
+TRANSITIONS: dict[type[StrEnum], Mapping[Any, Any]] = {
     Manipulation: MANIPULATION_TRANSITIONS,
     Attention: ATTENTION_TRANSITIONS,
 }
@@ -32,7 +33,7 @@ def names(states: Iterable[str]) -> str:
     return ", ".join(f"`{state}`" for state in states)
 
 
-def edges(row: Mapping[StrEnum, str]) -> str:
+def edges(row: Mapping[Any, str]) -> str:
     """Where a row leads, by source."""
     sources = dict.fromkeys(sorted(row.values(), key=("T", "P", "I", "I2").index))
     return "; ".join(f"{source}: {names(there for there in row if row[there] == source)}" for source in sources)

@@ -112,7 +112,7 @@ def test_on_its_soles_the_ankles_lean_it_back_to_the_middle() -> None:
     table = Balance(joints=["l_ankle_pitch", "r_ankle_pitch"], gain=0.6, limit=0.1)
     ankles = [ESCHER.index[name] for name in table.joints]
 
-    def lean(*way: float) -> FloatArray:
+    def lean(*way: float) -> float:
         balance, position = SoleBalance(ESCHER, table), ESCHER.nominal_posture.copy()
         for i, ahead in enumerate(way):
             position = ESCHER.nominal_posture.copy()
@@ -120,7 +120,7 @@ def test_on_its_soles_the_ankles_lean_it_back_to_the_middle() -> None:
         added = position - ESCHER.nominal_posture
         assert not np.delete(added, ankles).any()
         assert added[ankles[0]] == added[ankles[1]]
-        return added[ankles[0]]
+        return float(added[ankles[0]])
 
     assert lean(0.0) == pytest.approx(0.0)
     assert lean(0.05) == pytest.approx(0.03)  # toes down: the CoP goes ahead

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.test_motion_manager_periods import Robot
+from harness.still_robot import Robot
 from tests.unit.test_motion_manager_setpoints import ARM, ROBOT, Bench
 from valor.common.behaviors import Behavior
 from valor.motion_manager.joints.joint_reference import SETPOINT_HORIZON
@@ -48,7 +50,7 @@ def test_a_foot_that_does_not_touch_has_no_part_in_the_centre_of_pressure(foot: 
     assert state is not None
     np.testing.assert_allclose(state.cop_in_odom, [0.02, 0.0], atol=1e-9)
     for _ in range(100):
-        robot.tick(**{f"{foot}_foot_wrench": np.zeros(6)})
+        robot.tick(**dict[str, Any]({f"{foot}_foot_wrench": np.zeros(6)}))
         state = robot.manager.parts.state
         assert state is not None
         if state.contacts.sum() == 1:

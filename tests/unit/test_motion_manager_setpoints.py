@@ -282,8 +282,7 @@ def test_no_message_however_broken_makes_a_joint_jump(
 ) -> None:
     bench = Bench(Behavior.STAND_MANIPULATE)
     for joints, position, velocity, fit, time, periods in messages:
-        count = len(joints) if fit else None
-        p, v = (np.resize(np.array(x or [0.0]), count) if fit else np.array(x) for x in (position, velocity))
+        p, v = (np.resize(np.array(x or [0.0]), len(joints)) if fit else np.array(x) for x in (position, velocity))
         bench.send(JointSetpoints(bench.now if fit else time, joints, p, v, np.array(v)))
         bench.run(periods * ROBOT.control_period)
     legs = np.concatenate((ROBOT.group_indices("left_leg"), ROBOT.group_indices("right_leg")))

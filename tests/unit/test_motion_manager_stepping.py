@@ -9,8 +9,8 @@ import pytest
 
 from bifrost import Received
 from harness.robot_in_process import RobotInProcess
+from harness.still_robot import ROBOT, Robot
 from tests.unit.test_motion_manager_footsteps import ahead, footstep
-from tests.unit.test_motion_manager_periods import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import FootstepPlanRequest, Rejection, VelocityCommand
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from bifrost import Received
 from harness.examples import examples
+from harness.still_robot import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from tests.unit.test_motion_manager_bypass import goal, lead, standing
-from tests.unit.test_motion_manager_periods import PERIOD, ROBOT, WEIGHT, N, Robot, tilted
 from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
 from valor.common.rotation import NORM
@@ -31,8 +31,9 @@ from valor.whole_body.watchdog import LONGEST_GAP, ProprioceptorWatchdog
 TILT = UPRIGHT * ROBOT.read(Tuning).fall.tilt
 FOUND = Robot()
 FOUND.tick()
-STATE = FOUND.manager.parts.state
-assert STATE is not None
+_state = FOUND.manager.parts.state
+assert _state is not None
+STATE = _state
 STANCE = Stance(ROBOT, WEIGHT)
 
 
@@ -188,7 +189,7 @@ def test_a_hand_goal_is_obeyed_within_its_limits(manipulating: Robot, changes: d
     wanted = {"position": beside(0.3), "time": robot.time - round(1e9 * age)} | wanted
     for side in (0, 1):
         robot.manager.parts.hand_goals.release(side, "test")
-    assert lead(robot, goal(robot, **wanted), str(changes)) is obeyed  # type: ignore[arg-type]
+    assert lead(robot, goal(robot, **wanted), str(changes)) is obeyed
     side = int(wanted.get("hand", 1))  # type: ignore[call-overload]
     led = [robot.manager.parts.hand_goals.leads(each) for each in (0, 1)]
     assert led == [obeyed and wanted.get("active", True) is True and each == side for each in (0, 1)]

@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -147,7 +147,7 @@ def test_a_hand_closes_towards_its_palm(side: Literal["left", "right"]) -> None:
         assert np.linalg.norm(closed[name][:2]) < np.linalg.norm(opened[name][:2]), name
 
 
-def variant(folder: Path, change: Callable[[dict[str, object], str], str]) -> RobotDescription:
+def variant(folder: Path, change: Callable[[dict[str, Any], str], str]) -> RobotDescription:
     """A copy of ESCHER's folder; ``change(tables, xml)`` alters the tables in place and returns the model."""
     tables = yaml.safe_load((ESCHER / "robot.yaml").read_text())
     (folder / "model.xml").write_text(change(tables, (ESCHER / "model.xml").read_text()))
@@ -156,7 +156,7 @@ def variant(folder: Path, change: Callable[[dict[str, object], str], str]) -> Ro
 
 
 def test_welded_joints_stay_at_their_nominal_angles(tmp_path: Path) -> None:
-    def turn_head(tables: dict[str, object], xml: str) -> str:
+    def turn_head(tables: dict[str, Any], xml: str) -> str:
         tables["nominal_posture"] |= {"neck_yaw": 0.4, "neck_pitch": -0.3, "lidar_roll": 1.0, "l_thumb_roll": 0.7}
         return xml
 
@@ -181,7 +181,7 @@ def test_welded_joints_stay_at_their_nominal_angles(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_model_that_does_not_fit_its_tables_is_refused_in_one_line(
-    tmp_path: Path, change: Callable[[dict[str, object], str], str], message: str
+    tmp_path: Path, change: Callable[[dict[str, Any], str], str], message: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=message) as error:
         full_model(variant(tmp_path, change))

@@ -86,7 +86,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 def command(mode: JointMode = JointMode.IMPEDANCE) -> JointCommands:
     m = len(NAMES)
-    position, velocity, effort, stiffness, damping = (np.arange(m) + 0.125 * k for k in range(5))
+    position, velocity, effort, stiffness, damping = (np.arange(m, dtype=float) + 0.125 * k for k in range(5))
     return JointCommands(70_000, np.full(m, mode, dtype=np.uint8), position, velocity, effort, stiffness, damping)
 
 

@@ -174,7 +174,8 @@ def momentum(robot: Plant) -> np.ndarray:
     mujoco.mj_fwdPosition(mj, scratch)
     mujoco.mj_fwdVelocity(mj, scratch)
     mujoco.mj_subtreeVel(mj, scratch)
-    return mj.body_mass.sum() * scratch.subtree_linvel[robot.model.body("pelvis")]
+    momentum: np.ndarray = mj.body_mass.sum() * scratch.subtree_linvel[robot.model.body("pelvis")]
+    return momentum
 
 
 def test_a_push_in_the_air_gives_its_impulse() -> None:

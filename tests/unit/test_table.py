@@ -62,7 +62,7 @@ def test_values_are_taken_as_their_types_and_given_back() -> None:
     assert robot.joints["knee"] == Joint(limit=12.0) and robot.folder == Path("/tmp")
     assert checked(Robot, plain(robot)) == robot
     with pytest.raises(AttributeError):
-        robot.name = "thor"  # type: ignore[misc]
+        robot.name = "thor"
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from harness.places import ROBOTS
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ModeStatus
+from valor.common.topics import MOTOR, SERVICE_TOPICS, TOPICS
 from valor.valorctl.__main__ import run as main
 from valor.valorctl.app import app, hoist_instance
 from valor.valorctl.control_mode import ModeChange, flag_names
 from valor.valorctl.environment import exports
+from valor.valorctl.verbs.bifrost_verbs import catalogue
 
 COMMAND: Any = typer.main.get_command(app)
 
@@ -29,7 +32,8 @@ def parsed(verb: str, *arguments: str) -> dict[str, object]:
     """What a verb is called with."""
     context = COMMAND.make_context("valorctl", [verb, *arguments])
     command = COMMAND.get_command(context, verb)
-    return command.make_context(verb, list(arguments), parent=context).params
+    parameters: dict[str, object] = command.make_context(verb, list(arguments), parent=context).params
+    return parameters
 
 
 @pytest.mark.parametrize(
@@ -279,3 +283,14 @@ def test_down_of_what_is_not_up_is_done(
         main()
     assert ended.value.code in (0, None)
     assert "not up" in capsys.readouterr().out
+
+
+def test_every_topic_and_service_is_in_the_catalogue(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("VALOR_HOME", str(tmp_path))
+    instance = Instance.from_environment()
+    instance.folder.mkdir()
+    instance.settings_file.write_text(Settings(robot=ROBOTS / "escher", control_rate=250.0, ros_domain_id=1).json())
+    topics, services = catalogue("topic", None).entries, catalogue("service", None).entries
+    assert topics.keys() == {row.name for row in TOPICS} and services.keys() == {row.name for row in SERVICE_TOPICS}
+    assert topics[MOTOR.name]["rate_hz"] == 250.0
+    assert topics[MOTOR.name]["may_publish"] == list(MOTOR.publishers)

@@ -36,7 +36,7 @@ HEAVY = frozenset(
 
 def imported(*arguments: str, environment: Mapping[str, str] = os.environ) -> set[str]:
     """The packages that a run of valorctl imports."""
-    command = [sys.executable, "-X", "importtime", VALORCTL, *arguments]
+    command = [sys.executable, "-X", "importtime", str(VALORCTL), *arguments]
     told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stderr
     return {line.rpartition("|")[2].strip().partition(".")[0] for line in told.splitlines()}
 

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from valor.common.instance import ClockMode, Settings
 from valor.common.messages import ClockStatus
+from valor.common.processes import BY_NAME
 from valor.valorctl.health import Health
 from valor.valorctl.status import Condition, Status
 from valor.valorctl.status_view import BAD, view
@@ -90,6 +91,15 @@ def test_a_fall_is_told_with_its_reason_time_way_out_and_bag(width: int) -> None
         str(BAG),
     )
     assert told["way_out"] == "valorctl get-up --instance lab"
+
+
+def test_what_a_process_takes_stands_beside_its_budget() -> None:
+    row = BY_NAME["motion_manager"]
+    assert f"100 of {row.cpu_budget:.0f}" in "\n".join(shown(FALLEN, 120))
+    [service] = FALLEN.as_json()["services"]
+    assert service["needs"] == [*row.needs, *row.after]
+    assert service["description"] == row.description
+    assert (service["cpu_budget_percent"], service["memory_budget_mib"]) == (row.cpu_budget, row.memory_budget)
 
 
 def test_who_stands_needs_no_way_out() -> None:

@@ -22,8 +22,9 @@ from valor.valorctl.step_planner import middle, plan_to
 from valor.valorctl.stepping import intention
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-TABLE = ROBOT.tables.footsteps
-assert TABLE is not None
+_footsteps = ROBOT.tables.footsteps
+assert _footsteps is not None
+TABLE = _footsteps
 PLANS = sorted((REPOSITORY / "examples" / "plans").glob("*.yaml"))
 HALF = 0.5 * ROBOT.tables.walking.step_width
 

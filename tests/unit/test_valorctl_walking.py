@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from valor.valorctl.walking import Order, _Run
         ({"seconds": 1.0}, "where to walk: expected --vx, --vy or --wz other than 0"),
     ],
 )
-def test_orders_that_make_no_sense_are_refused(order: dict[str, float], words: str) -> None:
+def test_orders_that_make_no_sense_are_refused(order: dict[str, Any], words: str) -> None:
     with pytest.raises(ValorError, match=words):
         Order(**order)
 
@@ -46,7 +47,7 @@ def test_velocities_beyond_what_the_robot_walks_are_refused_with_its_limits(robo
         ({"turn": -limits.max_turn_rate - 0.01}, f"{limits.max_turn_rate:g} rad/s"),
     ):
         with pytest.raises(ValorError, match=words):
-            Order(**beyond, seconds=1.0).require_within(limits, robot)
+            Order(**dict[str, Any](beyond), seconds=1.0).require_within(limits, robot)
 
 
 @given(

@@ -22,8 +22,9 @@ from valor.robot.commanded_limits import PELVIS_NAMES
 from valor.valor_ros_controller.controller_switch import Strictness
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import MOVED
 from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP
 
 ROUNDING = 1e-8  # [rad or m]
@@ -155,7 +156,7 @@ def do(system: Watched, kind: str, *arguments: Any) -> None:
             controller.cancel(goal)
         system.goals.clear()
     elif kind == "switch":
-        vrc.controller.switch.switch(arguments[0], arguments[1], Strictness.BEST_EFFORT)
+        vrc.switch.switch(arguments[0], arguments[1], Strictness.BEST_EFFORT)
     elif kind == "run":
         system.run(arguments[0])
     elif kind == "vrc late":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +22,8 @@ from valor.valor_ros_controller.behavior_transition import (
     TransitionState,
 )
 from valor.valor_ros_controller.control_modes import ControlModeTable
-from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController, ModeReport
+from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
+from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 S = ModeStatus
@@ -82,7 +85,7 @@ class Plant:
         self.controller.request(mode, client)
         self.cycle(cycles)
         assert client.result is not None, f"{mode}: no result"
-        assert client.result == self.controller.report or client.result.status & S.MODE_REJECTED
+        assert client.result == self.controller.report or client.report.status & S.MODE_REJECTED
         return client.result
 
 
@@ -167,11 +170,11 @@ def test_a_second_request_meanwhile_is_refused_but_a_soft_stop_preempts(plant):
     plant.cycle(2)
     plant.controller.request("walk", second)
     plant.cycle()
-    assert second.result.status == S.MODE_REJECTED | S.ERR_PRIOR_COMMAND_IN_PROGRESS
+    assert second.report.status == S.MODE_REJECTED | S.ERR_PRIOR_COMMAND_IN_PROGRESS
     plant.deaf = False
     plant.controller.request("soft_stop", third)
     plant.cycle(12)
-    assert first.result.status == S.MODE_PREEMPTED
+    assert first.report.status == S.MODE_PREEMPTED
     assert third.result == ModeReport("soft_stop", "soft_stop", S.MODE_ACCEPTED)
 
 
@@ -202,7 +205,7 @@ def test_a_fall_during_a_change_ends_the_change(plant):
 def test_when_a_plan_is_done_the_arms_are_asked_for_again(plant, mode):
     plant.ask("stand")
     plant.ask(mode)
-    reports = []
+    reports: list[Any] = []
     plant.fsm.go(Behavior.STAND, "plan done")
     for _ in range(12):
         plant.cycle()
@@ -238,12 +241,12 @@ def test_silence_and_return(plant):
     plant.controller.request("stand", client)
     plant.cycle(2)
     plant.cycle(report=False)
-    assert client.result.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
+    assert client.report.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
     assert plant.controller.active_mode == ""
     assert plant.controller.report.current == "none"
     plant.controller.request("stand", late)
     plant.cycle(report=False)
-    assert late.result.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
+    assert late.report.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
     assert "motion_manager is silent" in plant.controller.last_refusal
     plant.deaf = False
     plant.cycle()
@@ -315,5 +318,5 @@ def test_whatever_happens_every_client_is_answered_once_and_the_mode_is_true(seq
     assert plant.controller.active_mode == mode
     assert mode == "stop" or TABLE.fits(mode, str(plant.fsm.behavior))
     for client in clients:
-        accepted = client.result.status & S.MODE_ACCEPTED
-        assert not accepted or client.result.current == client.result.requested
+        accepted = client.report.status & S.MODE_ACCEPTED
+        assert not accepted or client.report.current == client.report.requested

@@ -73,7 +73,7 @@ def test_controllers_of_a_mode_are_accepted_by_its_behavior():
         if mode.motion is None:
             continue
         locomotion, manipulation, attention = INTERNAL_STATES[Behavior(mode.motion[1])]
-        states = {"locomotion": locomotion, "manipulation": manipulation, "attention": attention}
+        states: dict[str, str] = {"locomotion": locomotion, "manipulation": manipulation, "attention": attention}
         states |= dict.fromkeys(("left_arm", "right_arm"), "setpoints" if manipulation == "teleop" else "nobody")
         accepted = {
             controller

@@ -20,7 +20,7 @@ def test_a_joint_has_one_writer():
     hw.claim("left", ARM)
     with pytest.raises(JointClaimError, match="other and left both write l_elbow_pitch"):
         hw.claim("other", np.array([NECK[0], ARM[3]]))
-    hw.claim("neck", NECK), "a refused claim leaves nothing behind"
+    hw.claim("neck", NECK)  # a refused claim leaves nothing behind
     hw.release("left")
     hw.claim("other", ARM)
 

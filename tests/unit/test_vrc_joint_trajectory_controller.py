@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest, stated
+from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -27,7 +29,7 @@ PERIOD = 4_000_000
 
 def motion_state(behavior: str, setpoint: np.ndarray) -> MotionState:
     manipulation, leader = ("teleop", "setpoints") if behavior.endswith("_manipulate") else ("slave", "nobody")
-    arms = {"left_arm": leader, "right_arm": leader}
+    arms: dict[str, Any] = {"left_arm": leader, "right_arm": leader}
     return motion_states.motion_state(
         behavior=behavior, manipulation=manipulation, **arms, joint_setpoint=setpoint, pelvis_in_support=np.zeros(6)
     )
@@ -37,7 +39,7 @@ def motion_state(behavior: str, setpoint: np.ndarray) -> MotionState:
 class Client:
     """Keeps what it is told."""
 
-    outcome: Outcome | None = None
+    outcome: Any = None  # an Outcome, once it is told
     feedbacks: list[int] = field(default_factory=list)
 
     def finish(self, outcome: Outcome) -> None:
@@ -150,8 +152,8 @@ def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name():
 def test_a_flood_of_refusals_is_counted_and_told_once(caplog):
     controller = Arm().start().controller
     for _ in range(1000):
-        controller.refuse(None, InvalidTrajectoryError(ErrorCode.INVALID_JOINTS, "unknown joint 'nobody'"))
-    controller.refuse(None, InvalidTrajectoryError(ErrorCode.INVALID_JOINTS, "no joints"))
+        controller.refuse(None, InvalidTrajectoryError("unknown joint 'nobody'", ErrorCode.INVALID_JOINTS))
+    controller.refuse(None, InvalidTrajectoryError("no joints", ErrorCode.INVALID_JOINTS))
     assert controller.rejected == 1001
     assert [record.getMessage().partition("refused: ")[2] for record in caplog.records] == [
         "unknown joint 'nobody'",
@@ -272,7 +274,7 @@ def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_th
 
 def test_goal_tolerances_override_the_defaults():
     c = Arm().controller
-    over = c.settings.goal.override([("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance")
+    over = stated(c.settings.goal, [("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance")
     elbow, wrist = NAMES.index("l_elbow_pitch"), NAMES.index("l_wrist_yaw")
     assert over.position[elbow] == 0.5 and over.velocity[elbow] == c.settings.goal.velocity[elbow]
     assert np.isinf(over.position[wrist]) and np.isinf(over.velocity[wrist])
@@ -282,5 +284,5 @@ def test_goal_tolerances_override_the_defaults():
         ([("l_wrist_yaw", -0.5, 0.0)], ("-0.5",)),
     ):
         with pytest.raises(InvalidTrajectoryError) as error:
-            c.settings.goal.override(entries, NAMES, "goal_tolerance")
+            stated(c.settings.goal, entries, NAMES, "goal_tolerance")
         assert all(word in str(error.value) for word in words)

@@ -37,10 +37,10 @@ def test_links_and_frames_stand_where_mujoco_puts_them(name):
             multiply(orientation, transforms.orientation[i]),
         )
     assert len(poses) == model.mj.nbody - 1
-    for link, (position, orientation) in poses.items():
-        body = model.body(link)
-        assert position == pytest.approx(data.xpos[body], abs=1e-12), link
-        assert abs(orientation @ data.xquat[body]) == pytest.approx(1.0), link
+    for name, (position, orientation) in poses.items():
+        body = model.body(name)
+        assert position == pytest.approx(data.xpos[body], abs=1e-12), name
+        assert abs(orientation @ data.xquat[body]) == pytest.approx(1.0), name
     for side in ("left", "right"):
         sole = getattr(robot.tables.feet, side).sole
         frame = next(frame for frame in tree.frames if frame.target == sole)

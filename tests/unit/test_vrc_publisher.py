@@ -110,13 +110,13 @@ def check(topics: Topics, sense: Proprioceptor, motion: MotionState) -> None:
 
 def test_every_number_stands_where_it_belongs_and_comes_at_its_rate() -> None:
     topics, stamp, random = Topics(), Time(), np.random.default_rng(0)
-    publisher = Publisher(topics, ROBOT, KinematicTree.load(ROBOT), stamp, rate=250.0, simulated=True)  # type: ignore[arg-type]
+    publisher = Publisher(topics, ROBOT, KinematicTree.load(ROBOT), stamp, rate=250.0, simulated=True)
     hw = ValorEscherHWInterface(ROBOT)
     some = random.standard_normal
     for cycle in range(CYCLES):
         stamp.sec, stamp.nanosec = cycle, 7 * cycle
         joints, wrenches = (some(N) for _ in range(3)), (some(6) for _ in range(4))
-        hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), some(3), some(3), *wrenches, 47.5, "stand")
+        hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), some(3), some(3), *wrenches, 47.5, "stand")  # type: ignore[arg-type, call-arg]
         hw.motion = motion = motion_state(
             heading=YAW,
             pelvis_position_in_odom=some(3),

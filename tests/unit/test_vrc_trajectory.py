@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from harness.examples import examples
 from valor.robot.commanded_limits import CommandedLimits
+from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.waypoints import Point
 
 NAMES = ("shoulder", "elbow", "wrist")
 LIMITS = CommandedLimits(
@@ -23,7 +24,7 @@ LIMITS = CommandedLimits(
     acceleration=np.array([20.0, 20.0, 60.0]),
     effort=np.full(3, np.inf),
 )
-REST = (np.zeros(3), np.zeros(3), np.zeros(3))
+REST = np.zeros((3, 3))
 NOW = 5_000_000_000
 
 
@@ -33,7 +34,7 @@ def point(time, positions, velocities=(), accelerations=(), effort=()):
 
 def sample(trajectory, now):
     state = np.zeros((3, len(NAMES)))
-    trajectory.sample(now, *state)
+    trajectory.sample(now, state)
     return state
 
 
@@ -83,14 +84,14 @@ def test_broken_trajectories_are_refused_with_the_reason(names, points, code, wo
 
 def test_partial_goals_are_taken_where_allowed_and_the_rest_holds():
     waypoints = check_waypoints(["wrist"], [point(1.0, [2.0])], LIMITS, allow_partial=True)
-    trajectory = Trajectory.begin(waypoints, 0, NOW, (np.array([0.1, 0.2, 0.3]), *REST[1:]), LIMITS)
+    trajectory = begin(waypoints, 0, NOW, np.array([[0.1, 0.2, 0.3], *REST[1:]]), LIMITS)
     assert sample(trajectory, NOW + 500_000_000)[0] == pytest.approx([0.1, 0.2, 1.15])
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([0.1, 0.2, 2.0])
 
 
 def test_names_in_another_order_are_mapped():
     waypoints = check_waypoints(["wrist", "shoulder", "elbow"], [point(2.0, [3.0, 1.0, 2.0])], LIMITS)
-    trajectory = Trajectory.begin(waypoints, 0, NOW, REST, LIMITS)
+    trajectory = begin(waypoints, 0, NOW, REST, LIMITS)
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([1.0, 2.0, 3.0])
 
 
@@ -103,18 +104,18 @@ def test_names_in_another_order_are_mapped():
     ],
 )
 def test_interpolation_is_linear_cubic_or_quintic_by_what_the_points_give(end, middle):
-    trajectory = Trajectory.begin(check_waypoints(NAMES, [end], LIMITS), 0, NOW, REST, LIMITS)
+    trajectory = begin(check_waypoints(NAMES, [end], LIMITS), 0, NOW, REST, LIMITS)
     position, velocity, _ = sample(trajectory, NOW + 1_000_000_000)
     assert (position[0], velocity[0]) == pytest.approx(middle)
 
 
-def begin(points, start=0, now=NOW, state=REST):
-    return Trajectory.begin(check_waypoints(NAMES, points, LIMITS), start, now, state, LIMITS)
+def begun(points, start=0, now=NOW, state=REST):
+    return begin(check_waypoints(NAMES, points, LIMITS), start, now, state, LIMITS)
 
 
 def begin_refusal(*args, **options):
     with pytest.raises(InvalidTrajectoryError) as error:
-        begin(*args, **options)
+        begun(*args, **options)
     return error.value
 
 
@@ -126,7 +127,7 @@ def test_a_first_point_that_the_speed_limits_do_not_allow_is_refused():
 
 def test_a_point_at_time_zero_tells_where_the_sender_thinks_we_are():
     near = [point(0.0, [0.05, 0.0, 0.0]), point(1.0, [0.5, 0.0, 0.0])]
-    trajectory = begin(near)
+    trajectory = begun(near)
     assert sample(trajectory, NOW)[0] == pytest.approx([0, 0, 0]), "the set-point must not jump"
     error = begin_refusal([point(0.0, [0.5, 0.0, 0.0]), point(1.0, [0.5, 0.0, 0.0])])
     assert "shoulder is 0.5 rad away from the first point" in str(error)
@@ -134,10 +135,10 @@ def test_a_point_at_time_zero_tells_where_the_sender_thinks_we_are():
 
 
 def test_header_stamps():
-    later = begin([point(1.0, [0.5, 0, 0])], start=NOW + 1_000_000_000)
+    later = begun([point(1.0, [0.5, 0, 0])], start=NOW + 1_000_000_000)
     assert later.end == NOW + 2_000_000_000
     assert begin_refusal(GOOD, start=NOW - 3_000_000_000).code is ErrorCode.OLD_HEADER_TIMESTAMP
-    past = begin(GOOD, start=NOW - 1_200_000_000)  # its first point is over: on to the second from here
+    past = begun(GOOD, start=NOW - 1_200_000_000)  # its first point is over: on to the second from here
     assert sample(past, NOW)[0] == pytest.approx([0, 0, 0])
     assert past.end == NOW + 800_000_000
     wall = begin_refusal(GOOD, start=1_700_000_000_000_000_000)
@@ -178,7 +179,7 @@ def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints)
 
 
 def test_a_trajectory_is_asked_about_any_time_without_being_moved():
-    trajectory = begin([point(1.0, [0.5, 0, 0]), point(2.0, [0.0, 0, 0])])
+    trajectory = begun([point(1.0, [0.5, 0, 0]), point(2.0, [0.0, 0, 0])])
     assert trajectory.at(NOW + 1_500_000_000)[0] == pytest.approx([0.25, 0, 0])
     assert trajectory.at(NOW + 500_000_000)[0] == pytest.approx([0.25, 0, 0])
     assert sample(trajectory, NOW + 200_000_000)[0] == pytest.approx([0.1, 0, 0])
@@ -187,7 +188,7 @@ def test_a_trajectory_is_asked_about_any_time_without_being_moved():
 
 
 def test_delay_shifts_what_is_to_come():
-    trajectory = begin([point(1.0, [0.5, 0, 0])])
+    trajectory = begun([point(1.0, [0.5, 0, 0])])
     before = sample(trajectory, NOW + 400_000_000)
     trajectory.delay(2_000_000_000)
     assert sample(trajectory, NOW + 2_400_000_000) == pytest.approx(before)
@@ -216,7 +217,7 @@ def trajectories(draw):
 def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(points, here):
     try:
         waypoints = check_waypoints(NAMES, points, LIMITS)
-        trajectory = Trajectory.begin(waypoints, 0, NOW, (np.array(here), *REST[1:]), LIMITS)
+        trajectory = begin(waypoints, 0, NOW, np.array([here, *REST[1:]]), LIMITS)
     except InvalidTrajectoryError as error:
         assert error.code is ErrorCode.INVALID_GOAL
         return
@@ -228,7 +229,7 @@ def test_accepted_trajectories_are_continuous_within_limits_and_through_their_po
     assert (states[:, 0] >= LIMITS.lower - 1e-3).all() and (states[:, 0] <= LIMITS.upper + 1e-3).all()
     moved = np.abs(np.diff(states[:, 0], axis=0))
     assert (moved <= LIMITS.fastest * 1.01 * step * 1e-9 + 1e-9).all(), "a jump"
-    fresh = begin(points, state=(np.array(here), *REST[1:]))
+    fresh = begun(points, state=np.array([here, *REST[1:]]))
     for way in points:
         through = sample(fresh, NOW + round(way.time_from_start * 1e9))
         assert through[0] == pytest.approx(way.positions, abs=1e-6)

@@ -23,7 +23,8 @@ DIRT = _dirt
 def slope(height: np.ndarray) -> np.ndarray:
     """Of a height field on the dirt's grid [degrees]."""
     along_y, along_x = np.gradient(height, DIRT.resolution)
-    return np.degrees(np.arctan(np.hypot(along_x, along_y)))
+    angle: np.ndarray = np.degrees(np.arctan(np.hypot(along_x, along_y)))
+    return angle
 
 
 @pytest.mark.parametrize("name", worlds.known())

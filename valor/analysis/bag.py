@@ -10,7 +10,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from valor.analysis.ros_types import Types
 from valor.analysis.stored import StoredBag, StoredMessage
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
+from valor.common.topics import M, Topic
 
 _NANO = 1e-9
 _log = logging.getLogger(__name__)
@@ -45,6 +46,11 @@ class Series:
         self.sent = sent
         self._columns: dict[str, FloatArray] = {}
         self._by_joint: dict[str, dict[str, tuple[npt.NDArray[np.intp], FloatArray]]] = {}
+
+    @classmethod
+    def heard(cls, topic: Topic[M], messages: Sequence[M]) -> Self:
+        """Messages of a Bifrost topic that an observer kept, and did not record; at least one."""
+        return cls(topic.name, topic.type.__name__, messages, np.empty(0), np.empty(0))
 
     def __len__(self) -> int:
         return len(self.messages)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from pathlib import Path
+from typing import ClassVar, Self
 
 import msgspec
 import psutil
@@ -47,8 +48,31 @@ class Picture(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reproduces: str = ""  # the thesis' figure
 
 
-class Result(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _Stored(msgspec.Struct, frozen=True):
+    """What an experiment leaves in its folder as a file."""
+
+    FILE: ClassVar[str]
+    WHAT: ClassVar[str]
+
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        """Read the one in a folder.
+
+        Raises:
+            ResultError: there is none, or it is not one; names the file.
+        """
+        return json_file.load(folder / cls.FILE, cls, ResultError, f"the {cls.WHAT} of an experiment")
+
+    def save(self, folder: Path) -> Path:
+        """Write it into a folder; returns the file."""
+        return json_file.save(self, folder / self.FILE)
+
+
+class Result(_Stored, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One run of one experiment."""
+
+    FILE = FILE
+    WHAT = "result"
 
     experiment: str
     title: str
@@ -65,41 +89,18 @@ class Result(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     files: list[str] = []  # CSV, bag
     seconds: float = 0.0  # that it took
 
-    @classmethod
-    def load(cls, folder: Path) -> Result:
-        """Read the result in a folder.
 
-        Raises:
-            ResultError: there is none, or it is not one; names the file.
-        """
-        return json_file.load(folder / FILE, cls, ResultError, "the result of an experiment")
-
-    def save(self, folder: Path) -> Path:
-        """Write it into a folder; returns the file."""
-        return json_file.save(self, folder / FILE)
-
-
-class Failure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Failure(_Stored, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A run of an experiment that came to no result."""
+
+    FILE = FAILURE_FILE
+    WHAT = "failure"
 
     experiment: str
     command: str  # that makes it again
     started: str  # ISO 8601
     reason: str  # in one line
     details: str = ""  # where in the program, if nobody foresaw it
-
-    @classmethod
-    def load(cls, folder: Path) -> Failure:
-        """Read the failure in a folder.
-
-        Raises:
-            ResultError: there is none, or it is not one; names the file.
-        """
-        return json_file.load(folder / FAILURE_FILE, cls, ResultError, "the failure of an experiment")
-
-    def save(self, folder: Path) -> Path:
-        """Write it into a folder; returns the file."""
-        return json_file.save(self, folder / FAILURE_FILE)
 
 
 def host_facts() -> dict[str, str]:

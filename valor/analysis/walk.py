@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from valor.analysis.bag import Series
 from valor.analysis.recording import Recording, nearest, recorded
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
@@ -58,9 +59,26 @@ class Track:
         """
         recording.load(MOTION_STATE, PROPRIOCEPTOR)
         states, measured = recording.series(MOTION_STATE), recording.series(PROPRIOCEPTOR)
+        recording.joints(PROPRIOCEPTOR, "joint_position")  # complains of another robot's
+        answered = nearest(measured["sequence"], states["proprioceptor_sequence"])
+        return cls._of(states, measured, answered, recording.robot)
+
+    @classmethod
+    def heard(cls, states: list[MotionState], measured: list[Proprioceptor], robot: RobotDescription) -> Self:
+        """From messages that an observer kept; states without the measurement that they answer are left out."""
+        rows = {each.sequence: row for row, each in enumerate(measured)}
+        both = [state for state in states if state.proprioceptor_sequence in rows]
+        if not both:
+            nothing: Any = np.empty(0)
+            return cls(*(nothing for _ in fields(cls)))
+        answered = np.array([rows[state.proprioceptor_sequence] for state in both])
+        return cls._of(Series.heard(MOTION_STATE, both), Series.heard(PROPRIOCEPTOR, measured), answered, robot)
+
+    @classmethod
+    def _of(cls, states: Series, measured: Series, answered: npt.NDArray[np.intp], robot: RobotDescription) -> Self:
+        """``answered``: the rows of ``measured`` that the states answer."""
         behaviors = states.strings("behavior")
-        rows = nearest(measured["sequence"], states["proprioceptor_sequence"])
-        feet = [measured[f"{side}_foot_wrench"][rows, _VERTICAL] for side in ("left", "right")]
+        feet = [measured[f"{side}_foot_wrench"][answered, _VERTICAL] for side in ("left", "right")]
         return cls(
             time=states.time,
             sequence=states["proprioceptor_sequence"].astype(np.int64),
@@ -71,37 +89,10 @@ class Track:
             dcm_error=states["dcm_in_odom"] - states["dcm_reference_in_odom"],
             desired_force=states["desired_foot_forces"],
             measured_force=np.column_stack(feet),
-            knee=recording.joints(PROPRIOCEPTOR, "joint_position")[rows][:, knees(recording.robot)],
+            knee=measured["joint_position"][answered][:, knees(robot)],
             tick=states["tick_time"],
             qp_failures=states["qp_failures"].astype(np.int64),
             saturations=states["torque_saturations"].astype(np.int64),
-        )
-
-    @classmethod
-    def heard(cls, states: list[MotionState], measured: list[Proprioceptor], robot: RobotDescription) -> Self:
-        """From messages that an observer kept; states without the measurement that they answer are left out."""
-        answered = {each.sequence: each for each in measured}
-        pairs = [
-            (state, answered[state.proprioceptor_sequence])
-            for state in states
-            if state.proprioceptor_sequence in answered
-        ]
-        both, joints = [state for state, _ in pairs], knees(robot)
-        vertical = [(each.left_foot_wrench[_VERTICAL], each.right_foot_wrench[_VERTICAL]) for _, each in pairs]
-        return cls(
-            time=np.array([1e-9 * state.time for state in both]),
-            sequence=np.array([state.proprioceptor_sequence for state in both], dtype=np.int64),
-            walking=np.array([state.behavior in STEPS for state in both], dtype=bool),
-            fallen=np.array([state.behavior == Behavior.FALL for state in both], dtype=bool),
-            pelvis=np.array([state.pelvis_position_in_odom for state in both]),
-            speed=np.array([np.linalg.norm(state.pelvis_linear_velocity_in_odom) for state in both]),
-            dcm_error=np.array([state.dcm_in_odom - state.dcm_reference_in_odom for state in both]),
-            desired_force=np.array([state.desired_foot_forces for state in both]),
-            measured_force=np.array(vertical),
-            knee=np.array([each.joint_position[joints] for _, each in pairs]),
-            tick=np.array([state.tick_time for state in both]),
-            qp_failures=np.array([state.qp_failures for state in both], dtype=np.int64),
-            saturations=np.array([state.torque_saturations for state in both], dtype=np.int64),
         )
 
     @classmethod

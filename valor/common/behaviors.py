@@ -134,6 +134,21 @@ FALLEN = frozenset(behavior for behavior in Behavior if behavior.fallen)
 REFLEX = "reflex"
 """In a behavior's place while the Comms Manager itself brings a robot to stand whose Motion Manager fell silent."""
 
+
+class Reaction(StrEnum):
+    """What the devices' condition demands of the Motion System (``DeviceStatus.reaction``), the mildest first."""
+
+    KEEP_BALANCE = "keep_balance"  # go on: balance does not need the unit
+    SOFT_STOP = "soft_stop"  # come to rest, keep balance, obey no commands from outside
+    HOLD = "hold"  # every joint stays, on its own servo: the balance cannot be known any more
+    LIMP = "limp"  # no torque: nothing holds the robot, and what would hold parts of it does harm
+
+    @property
+    def severity(self) -> int:
+        """0 of the mildest."""
+        return list(Reaction).index(self)
+
+
 _REQUESTED_BY = "requested by "
 
 

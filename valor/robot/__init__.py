@@ -1,1 +1,1 @@
-"""What a robot is: its tables and what must hold between them, its models. Read from its folder."""
+"""What a robot is: tables and what must hold between them, models, how joints may be led. Read from its folder."""

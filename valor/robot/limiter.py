@@ -12,6 +12,8 @@ from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
 from valor.robot.commanded_limits import CommandedLimits
 
+Joints = npt.NDArray[np.bool_]  # (n,) which ones
+
 BRAKE_FACTOR = 0.9  # of the acceleration, that braking is planned with
 
 
@@ -41,7 +43,7 @@ class Limiter:
         self._evaluate = Kernel("limiter", self._expressions, (self._asked, self._dt), (self._next,))
         self._before = b""  # what was asked last; empty: not by what it gave
 
-    def reset(self, joints: npt.NDArray[np.bool_], position: FloatArray) -> None:
+    def reset(self, joints: Joints, position: FloatArray) -> None:
         """Take some up, at rest, where they are found.
 
         Args:

@@ -14,6 +14,7 @@ from valor.common.messages import Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.valorctl.node import hear, join
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
@@ -97,8 +98,7 @@ def move_limb(
     settings = instance.settings()
     robot = RobotDescription.load(settings.robot)
     wanted = preset(robot, side, limb, name)
-    network = bifrost.Network.load(instance.network_file, instance.keys)
-    with bifrost.Node("valorctl", network=network) as node:
+    with join(instance) as node:
         measured = PROPRIOCEPTOR.subscriber(node)
         start = _positions(robot, measured)
         # The controller wants all joints of the limb; those that the preset leaves out stay.
@@ -163,10 +163,7 @@ def follow(
 
 
 def _positions(robot: RobotDescription, measured: bifrost.Subscriber[Proprioceptor]) -> dict[str, float]:
-    received = measured.receive(timeout=2.0)
-    if received is None:
-        raise ValorError(f"comms_manager is silent: no {PROPRIOCEPTOR.name} within 2 s")
-    return dict(zip(robot.joints, received.message.joint_position.tolist(), strict=True))
+    return dict(zip(robot.joints, hear(PROPRIOCEPTOR, measured, 2.0).joint_position.tolist(), strict=True))
 
 
 def _final_error(

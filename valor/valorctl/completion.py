@@ -8,7 +8,12 @@ from pathlib import Path
 
 import typer
 
+from valor.common import resources
 from valor.common.instance import Instance, Settings
+from valor.common.processes import BY_NAME
+from valor.simulation.world_names import WORLD_NAMES
+from valor.valorctl import mode_names
+from valor.valorctl.log_reader import LEVELS
 
 Names = Callable[[typer.Context], Iterable[str]]
 
@@ -25,77 +30,21 @@ def completer(names: Names) -> Callable[[typer.Context, str], list[str]]:
     return complete
 
 
-@completer
-def profiles(_: typer.Context) -> Iterable[str]:
-    """For ``--profile``."""
-    from valor.common.resources import profiles
-
-    return profiles()
-
-
-@completer
-def robots(_: typer.Context) -> Iterable[str]:
-    """For ``--robot``."""
-    from valor.common.resources import robots
-
-    return robots()
-
-
-@completer
-def plans(_: typer.Context) -> Iterable[str]:
-    """For ``step``."""
-    from valor.common.resources import plans
-
-    return plans()
-
-
-@completer
-def worlds(_: typer.Context) -> Iterable[str]:
-    """For ``--world``."""
-    from valor.simulation.world_names import WORLD_NAMES
-
-    return WORLD_NAMES
+profiles = completer(lambda _: resources.profiles())
+robots = completer(lambda _: resources.robots())
+plans = completer(lambda _: resources.plans())
+worlds = completer(lambda _: WORLD_NAMES)
+modes = completer(lambda _: mode_names.names())
+initial_modes = completer(lambda _: mode_names.initial())
+services = completer(lambda _: BY_NAME)
+levels = completer(lambda _: LEVELS)
 
 
 @completer
 def actuators(ctx: typer.Context) -> Iterable[str]:
     """For ``--actuators``: of the robot asked for."""
-    from valor.common.resources import robot_folder
-
-    folder = robot_folder(ctx.params.get("robot") or "escher")
+    folder = resources.robot_folder(ctx.params.get("robot") or "escher")
     return _table(folder)["actuators"]
-
-
-@completer
-def modes(_: typer.Context) -> Iterable[str]:
-    """Control modes."""
-    from valor.valorctl.mode_names import names
-
-    return names()
-
-
-@completer
-def initial_modes(_: typer.Context) -> Iterable[str]:
-    """Control modes that ``up`` can bring a robot to."""
-    from valor.valorctl.mode_names import initial
-
-    return initial()
-
-
-@completer
-def services(_: typer.Context) -> Iterable[str]:
-    """Processes."""
-    from valor.common.processes import BY_NAME
-
-    return BY_NAME
-
-
-@completer
-def levels(_: typer.Context) -> Iterable[str]:
-    """Of logs."""
-    from valor.valorctl.log_reader import LEVELS
-
-    return LEVELS
 
 
 @completer

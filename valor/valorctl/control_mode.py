@@ -12,6 +12,7 @@ from valor.common.instance import Instance
 from valor.common.messages import BehaviorReply, BehaviorRequest, ControlModeReport, ModeStatus
 from valor.common.topics import BEHAVIOR, CONTROL_MODE
 from valor.valorctl import mode_names
+from valor.valorctl.node import hear, join
 
 ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
 CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
@@ -61,12 +62,8 @@ def report(instance: Instance) -> ControlModeReport:
     Raises:
         ValorError: it is silent.
     """
-    network = bifrost.Network.load(instance.network_file, instance.keys)
-    with bifrost.Node("valorctl", network=network) as node:
-        received = CONTROL_MODE.subscriber(node).receive(timeout=_REPORT_TIMEOUT)
-    if received is None:
-        raise ValorError(f"valor_ros_controller is silent: no {CONTROL_MODE.name} within {_REPORT_TIMEOUT:g} s")
-    return received.message
+    with join(instance) as node:
+        return hear(CONTROL_MODE, CONTROL_MODE.subscriber(node), _REPORT_TIMEOUT)
 
 
 def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> ModeChange:
@@ -98,22 +95,29 @@ def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: No
     return replace(made, reason=reason if refused == mode else "")
 
 
+def enter(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> None:
+    """Change the control mode.
+
+    Raises:
+        ValorError: it was refused, or nobody answers; says why.
+    """
+    made = change(instance, mode, check)
+    if not made.reached:
+        raise ValorError(made.describe())
+
+
 def _lead(instance: Instance, mode: str, check: Callable[[], None]) -> ModeChange:
     """Ask the Motion Manager for what a mode means; the VRC follows it there."""
     behaviors = mode_names.behaviors(mode)
     began = time.monotonic()
-    network = bifrost.Network.load(instance.network_file, instance.keys)
-    with bifrost.Node("valorctl", network=network) as node:
+    with join(instance) as node:
         client = BEHAVIOR.client(node)
         reports = CONTROL_MODE.subscriber(node)
         report = None
         reason = next((why for each in behaviors if (why := _reach(client, each, began, check))), "")
         while report is None or (not reason and report.current_control_mode != mode):
             check()
-            if received := reports.receive(timeout=_REPORT_TIMEOUT):
-                report = received.message
-            if report is None or received is None:
-                raise ValorError(f"valor_ros_controller is silent: no {CONTROL_MODE.name} within {_REPORT_TIMEOUT:g} s")
+            report = hear(CONTROL_MODE, reports, _REPORT_TIMEOUT)
             if time.monotonic() - began > CHANGE_TIMEOUT:
                 reason = reason or f"valor_ros_controller has not followed within {CHANGE_TIMEOUT:g} s"
     status = ModeStatus.MODE_REJECTED | ModeStatus.ERR_INVALID_TRANSITION if reason else ModeStatus.MODE_ACCEPTED

@@ -11,6 +11,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import BehaviorRequest
 from valor.common.topics import BEHAVIOR, MOTION_STATE
+from valor.valorctl.node import hear, join
 
 GETTING_UP = "getting up"  # shown until the robot says which pose it makes
 LONGEST = 120.0  # of wall time [s]
@@ -31,8 +32,7 @@ def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str],
     Raises:
         ValorError: refused, given up, or the Motion Manager is silent.
     """
-    network = bifrost.Network.load(instance.network_file, instance.keys)
-    with bifrost.Node("valorctl", network=network) as node:
+    with join(instance) as node:
         states = MOTION_STATE.subscriber(node)
         try:
             reply = BEHAVIOR.client(node).call(BehaviorRequest(Behavior.GET_UP), timeout=_SILENT)
@@ -44,10 +44,7 @@ def get_up(instance: Instance, check: Callable[[], None], shown: Callable[[str],
         deadline = time.monotonic() + LONGEST
         while time.monotonic() < deadline:
             check()
-            received = states.receive(timeout=_SILENT)
-            if received is None:
-                raise ValorError(f"the Motion Manager is silent: no {MOTION_STATE.name} within {_SILENT:g} s")
-            state = received.message
+            state = hear(MOTION_STATE, states, _SILENT)
             if state.behavior == Behavior.GET_UP:
                 began = state.time if began is None else began
                 shown(GETTING_UP if requester(state.reason) else state.reason)

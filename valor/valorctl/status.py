@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from valor.common.behaviors import Behavior, ControlMode
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ClockStatus
-from valor.common.processes import BY_NAME
+from valor.common.processes import BY_NAME, Process
 from valor.valorctl.health import Health
 from valor.valorctl.recording_report import Glance
 
@@ -101,19 +101,17 @@ class Status:
             },
             "recording": self.recording.as_json() if self.recording else None,
             "services": [
-                {
-                    "name": service.name,
-                    "state": service.state,
-                    "pid": service.pid or None,
-                    "cpu_percent": service.cpu_percent,
-                    "memory_mib": service.memory_mib,
-                    "restarts": service.restarts,
-                    "detail": service.detail,
-                    "description": BY_NAME[service.name].description,
-                    "needs": [*BY_NAME[service.name].needs, *BY_NAME[service.name].after],
-                    "cpu_budget_percent": BY_NAME[service.name].cpu_budget,
-                    "memory_budget_mib": BY_NAME[service.name].memory_budget,
-                }
+                asdict(service) | {"pid": service.pid or None} | _row(BY_NAME[service.name])
                 for service in self.services
             ],
         }
+
+
+def _row(process: Process) -> dict[str, Any]:
+    """What the table of processes says."""
+    return {
+        "description": process.description,
+        "needs": [*process.needs, *process.after],
+        "cpu_budget_percent": process.cpu_budget,
+        "memory_budget_mib": process.memory_budget,
+    }

@@ -144,18 +144,12 @@ def _run(
         planned = [(FEET.index(step.foot), to_odom @ step.sole) for step in steps]
         before = control_mode.report(instance).current_control_mode
         if before not in STEPPING_MODES:
-            _change(instance, ControlMode.STEP, check)
+            control_mode.enter(instance, ControlMode.STEP, check)
         flags, reason = _execute(ros, steps, planned)
         if reason == "" and before not in STEPPING_MODES and before != ControlMode.STAND:
-            _change(instance, before, check)
+            control_mode.enter(instance, before, check)
         tf.forget()
         return Outcome(start, planned, tf.soles(), flags, reason)
-
-
-def _change(instance: Instance, mode: str, check: Callable[[], None]) -> None:
-    change = control_mode.change(instance, mode, check=check)
-    if not change.reached:
-        raise ValorError(change.describe())
 
 
 def _execute(ros: Any, steps: Sequence[PlanStep], planned: Sequence[tuple[int, Pose]]) -> tuple[int, str]:

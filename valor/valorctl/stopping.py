@@ -308,7 +308,7 @@ class _MotionSystem:
         """What is known of the motors."""
         if not self._heard:
             silent = "comms_manager is silent: what the motors do is unknown"
-            return silent if self._node.discovery.connected else f"{silent}; {self._node.daemon_silent}"
+            return silent if self._node.discovery.connected else f"{silent}; {self._node.discovery.daemon_silent}"
         return f"the motors obey {self._behavior or 'nobody yet'}"
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import bifrost
 from valor.analysis.errors import SignalError
 from valor.analysis.lanes import Lane
 from valor.analysis.period import Blame, Periods
@@ -18,6 +17,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.trace import FLUSH_PERIOD, Trace, topic
 from valor.robot.description import RobotDescription
+from valor.valorctl.node import join
 from valor.valorctl.presence import require_up
 
 LOOPS = ("comms_manager", "motion_manager", "valor_ros_controller", "bag_recorder")  # that mark their stages
@@ -76,7 +76,7 @@ def trace(instance: Instance, seconds: float, check: Callable[[], None], tell: C
     processes = require_up(instance).processes()
     pids = {name: info.pid for name, info in processes.items() if info.pid}
     nominal = RobotDescription.load(instance.settings().robot, instance.settings().control_rate).control_period
-    with bifrost.Node("valorctl_trace", network=bifrost.Network.load(instance.network_file, instance.keys)) as node:
+    with join(instance, "valorctl_trace") as node:
         subscribers = {name: node.subscriber(topic(name), Trace, queue=_QUEUE) for name in LOOPS if name in pids}
         _wait(_SWITCHING, check)
         for subscriber in subscribers.values():

@@ -13,7 +13,6 @@ import bifrost
 from valor.analysis.track_builder import TrackBuilder
 from valor.analysis.walk import Figures, Timeliness, Track
 from valor.analysis.walk_report import WalkReport
-from valor.common import membership
 from valor.common.behaviors import WALKING, WALKING_MODES, Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
@@ -22,6 +21,7 @@ from valor.common.topics import CLOCK, MOTION_STATE, PROPRIOCEPTOR, VALORCTL, VE
 from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import Walking as Limits
 from valor.valorctl import control_mode
+from valor.valorctl.node import join
 from valor.valorctl.steering import Line
 
 PERIOD = 0.02  # between commands; robot time may pass faster than the wall's [s]
@@ -134,22 +134,15 @@ def walk(
     if report.behavior == Behavior.FALL:
         raise ValorError("the robot has fallen: see `valorctl get-up`")
     before = report.current_control_mode
-    network = membership.network(instance, VALORCTL)
-    with bifrost.Node("valorctl", network=network) as node:
+    with join(instance, owner=VALORCTL) as node:
         if before in WALKING_MODES:
             _require_nobody_leads(node)
         else:
-            _change(instance, ControlMode.WALK, check)
+            control_mode.enter(instance, ControlMode.WALK, check)
         result = _walk(node, robot, order, check, tell)
     if before not in WALKING_MODES and not result.reason:
-        _change(instance, before, check)
+        control_mode.enter(instance, before, check)
     return result
-
-
-def _change(instance: Instance, mode: str, check: Callable[[], None]) -> None:
-    change = control_mode.change(instance, mode, check=check)
-    if not change.reached:
-        raise ValorError(change.describe())
 
 
 def _require_nobody_leads(node: bifrost.Node) -> None:

@@ -16,10 +16,10 @@ from valor.common.kernel import Expression, Kernel, clipped
 from valor.common.messages import JointMode, Motor
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Joints
 from valor.robot.model import WHOLE_BODY_GROUPS
 from valor.whole_body.state import WholeBodyCommand
 
-Joints = npt.NDArray[np.bool_]  # (n,) which ones
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
 
 

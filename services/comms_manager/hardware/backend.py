@@ -205,7 +205,7 @@ class Hardware(Backend):
         """Watch the devices; report them when something changes, and every second."""
         leader = self._watch.leader
         if self._watch.update(self._time.now):
-            self.demand = self._watch.reaction.name.lower()
+            self.demand = self._watch.reaction
             self._status.publish(self._watch.report(self._time.now))
             self._senses.look_at_supply()
         if self._watch.leader is not leader and self._watch.leader is not None:

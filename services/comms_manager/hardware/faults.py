@@ -3,34 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import IntEnum
 
+from valor.common.behaviors import Reaction
 from valor.comms_manager.hardware.device import Fault, Part
 
 LEGS_TO_LIMP = 2  # leg units without motors, from which on the robot cannot carry itself
 
 
-class Reaction(IntEnum):
-    """What the Motion System shall do, the mildest first; in ``DeviceStatus.reaction`` by name."""
-
-    KEEP_BALANCE = 0  # go on: balance does not need the unit
-    SOFT_STOP = 1  # come to rest, keep balance, obey no commands from outside
-    HOLD = 2  # every joint stays, on its own servo: the balance cannot be known any more
-    LIMP = 3  # no torque: nothing holds the robot, and what would hold parts of it does harm
-
-    @property
-    def spoken(self) -> str:
-        """For people."""
-        return _SPOKEN[self]
-
-
-_SPOKEN = {
+SPOKEN: Mapping[Reaction, str] = {
     Reaction.KEEP_BALANCE: "the robot goes on",
     Reaction.SOFT_STOP: "the robot comes to rest",
     Reaction.HOLD: "the robot holds its joints",
     Reaction.LIMP: "the robot goes limp",
 }
-
+"""For people."""
 
 _BALANCE, _STOP, _HOLD = Reaction.KEEP_BALANCE, Reaction.SOFT_STOP, Reaction.HOLD
 

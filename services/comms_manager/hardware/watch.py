@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from valor.common.behaviors import Reaction
 from valor.common.messages import DeviceStatus
 from valor.comms_manager.hardware.attitude import FRESH, tilt_between
 from valor.comms_manager.hardware.device import RATE_WINDOW, Device, Fault, Part, UnitRates, providers
-from valor.comms_manager.hardware.faults import LEGS_TO_LIMP, REACTIONS, Reaction
+from valor.comms_manager.hardware.faults import LEGS_TO_LIMP, REACTIONS, SPOKEN
 from valor.devices.kinds import Quantity
 
 STATUS_PERIOD = 1.0  # between reports while nothing changes [s]
@@ -181,16 +182,16 @@ class DeviceWatch:
             troubles = self._choose_leader(troubles)
         self.troubles = tuple(troubles)
         powerless = {each.unit for each in troubles if each.part is Part.LEGS and each.fault is Fault.DISABLED}
-        reaction = max((trouble.reaction for trouble in troubles), default=Reaction.KEEP_BALANCE)
+        reaction = _gravest(troubles)
         if len(powerless) >= LEGS_TO_LIMP:
             reaction = Reaction.LIMP
             if self.reaction is not reaction:
-                _log.warning("%s: without motors: %s", ", ".join(sorted(powerless)), reaction.spoken)
+                _log.warning("%s: without motors: %s", ", ".join(sorted(powerless)), SPOKEN[reaction])
         self.reaction = reaction
         known = {(trouble.unit, trouble.fault) for trouble in before}
         for trouble in troubles:
             if (trouble.unit, trouble.fault) not in known:
-                _log.warning("%s: %s: %s", trouble.unit, trouble.detail, trouble.reaction.spoken)
+                _log.warning("%s: %s: %s", trouble.unit, trouble.detail, SPOKEN[trouble.reaction])
         left = {(trouble.unit, trouble.fault) for trouble in troubles}
         for trouble in before:
             if (trouble.unit, trouble.fault) not in left:
@@ -200,10 +201,10 @@ class DeviceWatch:
         """Have the IMU lead that is best off; what ails the others harms nobody."""
         assert self.leader is not None
         gravest = {
-            imu: max((each.reaction for each in troubles if each.device is imu), default=Reaction.KEEP_BALANCE)
+            imu: _gravest(each for each in troubles if each.device is imu)
             for imu in (self.leader, *self._imus)  # the one that leads goes first among equals
         }
-        leader = min(gravest, key=lambda imu: gravest[imu])
+        leader = min(gravest, key=lambda imu: gravest[imu].severity)
         if leader is not self.leader:
             _log.warning("%s: leads: the robot's attitude is its", leader.name)
         self.leader = leader
@@ -217,7 +218,7 @@ class DeviceWatch:
     @property
     def reason(self) -> str:
         """The gravest trouble in one line, the device named; empty: none."""
-        gravest = max(self.troubles, key=lambda trouble: trouble.reaction, default=None)
+        gravest = max(self.troubles, key=lambda trouble: trouble.reaction.severity, default=None)
         return "" if gravest is None else f"{gravest.unit}: {gravest.detail}"
 
     def report(self, robot_time: int) -> DeviceStatus:
@@ -238,7 +239,7 @@ class DeviceWatch:
             temperature=np.array([unit.record.temperature for unit in units]),
             voltage=np.array([unit.record.voltage for unit in units]),
             errors=np.array([float(unit.record.errors) for unit in units]),
-            reaction=self.reaction.name.lower(),
+            reaction=self.reaction,
             reason=self.reason,
         )
 
@@ -272,3 +273,9 @@ def _state(troubles: Sequence[Trouble]) -> str:
         if any(trouble.fault is fault for trouble in troubles):
             return str(fault)
     return "faulty" if troubles else "ok"
+
+
+def _gravest(troubles: Iterable[Trouble]) -> Reaction:
+    """What several of them demand together."""
+    reactions = (trouble.reaction for trouble in troubles)
+    return max(reactions, key=lambda reaction: reaction.severity, default=Reaction.KEEP_BALANCE)

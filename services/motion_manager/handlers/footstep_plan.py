@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import hypot, isfinite
+from math import hypot
 from typing import Self
 
 import numpy as np
@@ -19,7 +19,7 @@ from valor.common.behaviors import Locomotion
 from valor.common.errors import RefusalError
 from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest
 from valor.common.topics import FOOTSTEP_PLAN
-from valor.motion_manager.handlers.handler import RequestHandler
+from valor.motion_manager.handlers.handler import RequestHandler, pose
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -190,19 +190,14 @@ class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]
         name, walking = f"step {asked.step_index}", self._walking
         if asked.foot not in (LEFT, RIGHT):
             raise PlanError(f"{name}: foot {asked.foot}; expected 0 (left) or 1 (right)")
-        place, orientation = asked.position_in_odom, asked.orientation_in_odom
-        if place.shape != (3,) or orientation.shape != (4,):
-            raise PlanError(f"{name}: position and orientation have {place.size} and {orientation.size} numbers")
-        if not all(map(isfinite, (*place.tolist(), *orientation.tolist()))):
-            raise PlanError(f"{name}: position or orientation is not finite")
-        if abs(hypot(*orientation.tolist()) - 1.0) > UNIT:
-            raise PlanError(f"{name}: the orientation is no unit quaternion")
-        matrix = np.empty((3, 3))
-        rotation.matrix(rotation.quaternion(orientation), matrix)
+        try:
+            sole = SolePose(*pose(asked.position_in_odom, asked.orientation_in_odom, UNIT))
+        except RefusalError as refusal:
+            raise PlanError(f"{name}: {refusal}") from None
         step = Step(
             asked.step_index,
             asked.foot,
-            SolePose(place.copy(), matrix),
+            sole,
             asked.swing_height,
             asked.swing_duration,
             asked.transfer_duration,

@@ -7,12 +7,12 @@ from typing import Self
 import numpy as np
 
 from bifrost import Received
-from valor.common import rotation
 from valor.common.behaviors import Manipulation
 from valor.common.errors import RefusalError
 from valor.common.messages import HandGoal as HandGoalMessage
+from valor.common.rotation import NORM
 from valor.common.topics import HAND_GOAL
-from valor.motion_manager.handlers.handler import Handler, require_fresh
+from valor.motion_manager.handlers.handler import Handler, pose, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_goals import HandGoal, HandGoals
 from valor.motion_manager.parts import Parts
@@ -45,25 +45,15 @@ class HandGoalHandler(Handler[HandGoalMessage]):
         if not message.active:
             self._goals.release(message.hand, f"let go by {received.origin}")
             return
-        self._check(message, now)
-        matrix = np.empty((3, 3))
-        rotation.matrix(rotation.quaternion(message.orientation), matrix)
-        goal = HandGoal(message.frame == "odom", message.position.copy(), matrix)
-        self._goals.lead(message.hand, goal, 1e-9 * now)
+        self._goals.lead(message.hand, self._goal(message, now), 1e-9 * now)
 
-    def _check(self, message: HandGoalMessage, now: int) -> None:
+    def _goal(self, message: HandGoalMessage, now: int) -> HandGoal:
         if self._fsm.manipulation is not Manipulation.TELEOP:
             raise RefusalError("behavior", f"hands are led in the manipulate behaviors; it is {self._fsm.behavior}")
         if message.frame not in FRAMES:
             raise RefusalError("frame", f"frame {message.frame[:64]!r}; expected {' or '.join(FRAMES)}")
-        position, orientation = message.position, message.orientation
-        if position.shape != (3,) or orientation.shape != (4,):
-            sizes = f"{position.size} and {orientation.size}"
-            raise RefusalError("length", f"position and orientation have {sizes} numbers")
-        if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
-            raise RefusalError("number", "position or orientation is not finite")
-        if abs(float(np.linalg.norm(orientation)) - 1.0) > rotation.NORM:
-            raise RefusalError("number", "the orientation is no unit quaternion")
+        position, matrix = pose(message.position, message.orientation, NORM)
         if np.abs(position).max() > FARTHEST:
             raise RefusalError("number", f"position {position.tolist()} is farther than {FARTHEST:g} m away")
         require_fresh(message.time, now)
+        return HandGoal(message.frame == "odom", position, matrix)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from importlib import import_module
+from math import hypot, isfinite
 from pkgutil import iter_modules
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
+import numpy as np
+
 from bifrost import Message, Received
+from valor.common import rotation
+from valor.common.arrays import FloatArray
 from valor.common.errors import RefusalError
 from valor.common.topics import ServiceTopic, Topic
 from valor.motion_manager.handlers.rejections import Rejections
@@ -92,6 +97,39 @@ def make_all(parts: Parts) -> tuple[AnyHandler, ...]:
         and issubclass(thing, (Handler, RequestHandler))
         and thing.__module__ == module.__name__ != __name__
     )
+
+
+def require_finite(what: str, vector: FloatArray) -> None:
+    """Refuse a vector that is not all numbers.
+
+    Raises:
+        RefusalError: it is not.
+    """
+    if not np.isfinite(vector).all():
+        raise RefusalError("number", f"{what} {vector.tolist()} is not finite")
+
+
+def pose(position: FloatArray, orientation: FloatArray, norm: float) -> tuple[FloatArray, FloatArray]:
+    """The position (3,) [m] and the rotation (3, 3) of a pose in a message: arrays of their own.
+
+    Args:
+        position: of any length.
+        orientation: likewise; w, x, y, z.
+        norm: how far that of the orientation may be from 1.
+
+    Raises:
+        RefusalError: it is no pose.
+    """
+    if position.shape != (3,) or orientation.shape != (4,):
+        raise RefusalError("length", f"position and orientation have {position.size} and {orientation.size} numbers")
+    numbers = orientation.tolist()
+    if not all(map(isfinite, (*position.tolist(), *numbers))):
+        raise RefusalError("number", "position or orientation is not finite")
+    if abs(hypot(*numbers) - 1.0) > norm:
+        raise RefusalError("number", "the orientation is no unit quaternion")
+    matrix = np.empty((3, 3))
+    rotation.matrix(rotation.quaternion(orientation), matrix)
+    return position.copy(), matrix
 
 
 def require_fresh(time: int, now: int) -> None:

@@ -11,7 +11,7 @@ from valor.common.behaviors import Locomotion
 from valor.common.errors import RefusalError
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
-from valor.motion_manager.handlers.handler import Handler, require_fresh
+from valor.motion_manager.handlers.handler import Handler, require_finite, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -50,8 +50,7 @@ class PelvisHandler(Handler[PelvisSetpoint]):
         for what, vector in (("position", message.position), ("velocity", message.velocity)):
             if vector.shape != (6,):
                 raise RefusalError("length", f"{what} has {vector.size} numbers; expected 6: x, y, z, roll, pitch, yaw")
-            if not np.isfinite(vector).all():
-                raise RefusalError("number", f"{what} {vector.tolist()} is not finite")
+            require_finite(what, vector)
         require_fresh(message.time, now)
         if locomotion.stepping and np.abs(np.delete(message.position, HEIGHT)).max() > 0.0:
             raise RefusalError(

@@ -11,7 +11,7 @@ from valor.common.behaviors import Locomotion
 from valor.common.errors import RefusalError
 from valor.common.messages import VelocityCommand
 from valor.common.topics import VELOCITY
-from valor.motion_manager.handlers.handler import Handler, require_fresh
+from valor.motion_manager.handlers.handler import Handler, require_finite, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -41,7 +41,6 @@ class VelocityHandler(Handler[VelocityCommand]):
             raise RefusalError(
                 "behavior", f"velocities are followed in behaviors walk and walk_manipulate; it is {self._fsm.behavior}"
             )
-        if not np.isfinite(velocity).all():
-            raise RefusalError("number", f"velocity {velocity.tolist()} is not finite")
+        require_finite("velocity", velocity)
         require_fresh(message.time, now)
         self._steps.command(velocity, 1e-9 * now)

@@ -1,1 +1,1 @@
-"""Joints: where each shall be, how it is driven, and the command for all motors."""
+"""Joints: where each shall be, and how stiffly it is driven."""

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.motion_manager.joints.joint_reference import Joints
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Joints
 from valor.whole_body.tuning_tables import Tuning
 
 CHANGE_TIME = 0.5  # in which a gain changes by its nominal value [s]

@@ -17,10 +17,8 @@ from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.limiter import Limiter
+from valor.robot.limiter import Joints, Limiter
 from valor.robot.posture_move import PostureMove
-
-Joints = npt.NDArray[np.bool_]  # (n,) which ones
 
 SETPOINT_HORIZON = 0.02  # a set-point with velocity runs on for this long [s]: five periods of the VRC
 MOVE_VELOCITY_FACTOR = 0.3  # of a joint's velocity limit, in moves to a posture

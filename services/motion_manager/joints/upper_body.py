@@ -7,9 +7,10 @@ from enum import StrEnum
 import numpy as np
 
 from valor.common.behaviors import Attention, Locomotion, Manipulation
-from valor.motion_manager.joints.joint_reference import JointReference, Joints, Setpoint
+from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
 from valor.motion_manager.states.transitions import SETPOINT_STATES, joint_owners
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Joints
 
 SILENCE = 0.2  # without set-points for so long, joints that followed them stop [s]
 DWELL = 0.3  # slaved arms stay so long before they go home, so that a pair of commands can resolve [s]

@@ -1,1 +1,1 @@
-"""What keeps the robot safe whatever is asked: whose it is, whether it stands, whom and what to believe."""
+"""What keeps the robot safe whatever is asked: whose it is, whether it stands, what its devices demand."""

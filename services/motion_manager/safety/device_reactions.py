@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from valor.common.behaviors import Behavior
+from valor.common.behaviors import Behavior, Reaction
 from valor.common.messages import DeviceStatus
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 
-_B = Behavior
+_B, _R = Behavior, Reaction
 
-DEMANDS: Mapping[str, tuple[Behavior, ...]] = {
-    "keep_balance": (),
-    "soft_stop": (_B.SOFT_STOP,),
-    "hold": (_B.FREEZE, _B.SOFT_STOP, _B.FALL),
-    "limp": (_B.FALL, _B.SOFT_STOP, _B.FREEZE),
+DEMANDS: Mapping[Reaction, tuple[Behavior, ...]] = {
+    _R.KEEP_BALANCE: (),
+    _R.SOFT_STOP: (_B.SOFT_STOP,),
+    _R.HOLD: (_B.FREEZE, _B.SOFT_STOP, _B.FALL),
+    _R.LIMP: (_B.FALL, _B.SOFT_STOP, _B.FREEZE),
 }
 """``DeviceStatus.reaction`` → behaviors, the wanted one first; the others are ways there, or better than nothing."""
 
-ENOUGH: Mapping[str, frozenset[Behavior]] = {
-    "keep_balance": frozenset(Behavior),
+ENOUGH: Mapping[Reaction, frozenset[Behavior]] = {
+    _R.KEEP_BALANCE: frozenset(Behavior),
     # Before it balances, the robot stands on its servos and obeys nobody.
-    "soft_stop": frozenset({_B.SOFT_STOP, _B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE, _B.STAND_PREP}),
-    "hold": frozenset({_B.FREEZE, _B.FALL, _B.IDLE}),
-    "limp": frozenset({_B.FALL, _B.IDLE}),
+    _R.SOFT_STOP: frozenset({_B.SOFT_STOP, _B.FREEZE, _B.FALL, _B.GET_UP, _B.IDLE, _B.STAND_PREP}),
+    _R.HOLD: frozenset({_B.FREEZE, _B.FALL, _B.IDLE}),
+    _R.LIMP: frozenset({_B.FALL, _B.IDLE}),
 }
 """Behaviors in which nothing more is to be done."""
 
@@ -35,12 +35,12 @@ class DeviceReactions:
         """``stepping``: whether a step has not come to rest; until then the joints cannot be held."""
         self._fsm = fsm
         self._stepping = stepping
-        self._demand = "keep_balance"
+        self._demand = Reaction.KEEP_BALANCE
         self._reason = ""
 
     def hear(self, status: DeviceStatus) -> None:
         """Take note of the newest word; one that is not known is taken for the gravest that keeps the robot up."""
-        self._demand = status.reaction if status.reaction in DEMANDS else "hold"
+        self._demand = next((reaction for reaction in Reaction if reaction == status.reaction), Reaction.HOLD)
         self._reason = status.reason
 
     def update(self) -> None:

@@ -18,31 +18,19 @@ from valor.common.behaviors import ControlMode, requester
 from valor.common.messages import ModeStatus
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor.valor_ros_controller.control_modes import ControlModeTable
-from valor.valor_ros_controller.controllers.mode_requests import ModeRefusedError, Target, admit, first_stop
+from valor.valor_ros_controller.controllers.mode_requests import (
+    ModeClient,
+    ModeRefusedError,
+    ModeReport,
+    Target,
+    admit,
+    first_stop,
+)
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("control_mode_controller")
 
 _S = ModeStatus
-
-
-@dataclass(frozen=True)
-class ModeReport:
-    """The content of ``ControlModeStatus``."""
-
-    requested: str
-    current: str
-    status: ModeStatus
-
-
-class ModeClient(Protocol):
-    """Somebody who asked for a mode and waits for what became of it."""
-
-    def processing(self, report: ModeReport) -> None:
-        """The change is under way."""
-
-    def finish(self, report: ModeReport) -> None:
-        """The change is over, one way or the other."""
 
 
 class MotionSystem(Protocol):

@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from valor.common.messages import StepStatus
-from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.controller_manager import Onlooker
 
 
 class State(IntEnum):
@@ -33,21 +33,14 @@ class StepSource(Protocol):
     step_status: StepStatus | None  # the newest; None: not heard, or silent
 
 
-class FootstepController:
-    """What the Motion System says of its steps.
-
-    Attributes:
-        active: chosen by the control mode.
-    """
+class FootstepController(Onlooker):
+    """What the Motion System says of its steps."""
 
     name = "footstep_controller"
     type = "valor_ros_controller/FootstepController"
-    command_interfaces = ()
-    state_interfaces = ()
 
     def __init__(self, source: StepSource) -> None:
         self._source = source
-        self.active = False
 
     @property
     def status(self) -> StepStatus | None:
@@ -59,14 +52,3 @@ class FootstepController:
         """NOT_READY while inactive or before the Motion System has spoken."""
         status = self.status
         return _STATES.get(status.state, State.NOT_READY) if status else State.NOT_READY
-
-    def start(self, hw: ValorEscherHWInterface) -> None:
-        """Be active."""
-        self.active = True
-
-    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
-        """Be inactive."""
-        self.active = False
-
-    def update(self, hw: ValorEscherHWInterface) -> None:
-        """Nothing is led from here."""

@@ -12,13 +12,13 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest
+from valor.valor_ros_controller.trajectory.admission import begin
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -29,23 +29,11 @@ MOVED = 0.02
 """A controller that waited goes on only if the Motion System moved none of its joints farther than this [rad or m]."""
 
 
-@dataclass(frozen=True)
-class QueriedState:
-    """Where a trajectory is at some time; ``message`` says why that is no answer, if it is none."""
-
-    message: str
-    position: FloatArray  # (n,), or (0,) when there is nothing to say
-    velocity: FloatArray
-    acceleration: FloatArray
-
-
-_NOTHING = np.zeros(0)
-
-
 class JointTrajectoryController:
     """One limb's set-points.
 
     Attributes:
+        name: in ROS names.
         joints: (n,) places of its joints in the hardware interface's vectors.
         settings: replaced as a whole when a parameter changes, from any thread.
         position, velocity, acceleration: (n,) the set-point.
@@ -57,7 +45,6 @@ class JointTrajectoryController:
 
     type = "joint_trajectory_controller/JointTrajectoryController"
     command_interfaces = ("position", "velocity", "acceleration")
-    state_interfaces = ("position", "velocity")
 
     def __init__(
         self, name: str, config: TrajectoryControllerConfig, hw: ValorEscherHWInterface, modes: Sequence[str]
@@ -70,13 +57,14 @@ class JointTrajectoryController:
             hw: whose joints.
             modes: in which it is active, for the text of a refusal.
         """
-        self._name = name
+        self.name = name
         self.joints = hw.group_indices(config.groups)
         self.limits = hw.limits(self.joints)
         n = len(self.joints)
         self.settings = Settings.of(config, n)
         self._path = self.settings.path.position  # who asks for a tighter one may try
-        self.position, self.velocity, self.acceleration = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._state = np.zeros((3, n))
+        self.position, self.velocity, self.acceleration = self._state
         self.active = False
         self.writing = False
         self.last_refusal = ""
@@ -89,11 +77,6 @@ class JointTrajectoryController:
         self._moving = False
         self._waiting_since = 0
         self._next_feedback = 0
-
-    @property
-    def name(self) -> str:
-        """In ROS names."""
-        return self._name
 
     # --- from any thread ------------------------------------------------------------------------------------------
 
@@ -108,9 +91,9 @@ class JointTrajectoryController:
     def refuse(self, goal: Goal | None, error: InvalidTrajectoryError) -> None:
         """Say why a trajectory is not run. Nothing moves, and what runs goes on."""
         self.rejected += 1
-        if self.last_refusal != f"{self._name}: {error}":  # told once in the log, however often it is sent
-            _log.warning("%s: trajectory refused: %s", self._name, error)
-        self.last_refusal = f"{self._name}: {error}"
+        if self.last_refusal != f"{self.name}: {error}":  # told once in the log, however often it is sent
+            _log.warning("%s: trajectory refused: %s", self.name, error)
+        self.last_refusal = f"{self.name}: {error}"
         if goal:
             goal.finish(Outcome(error.code, str(error)))
 
@@ -118,7 +101,7 @@ class JointTrajectoryController:
 
     def start(self, hw: ValorEscherHWInterface) -> None:
         """Hold what the Motion System commands now."""
-        hw.claim(self._name, self.joints)
+        hw.claim(self.name, self.joints)
         self.active = True
         self.writing = False
         self._waiting_since = hw.time
@@ -127,11 +110,11 @@ class JointTrajectoryController:
     def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
         """Give the joints back; a goal in progress is aborted."""
         self.active = self.writing = False
-        hw.release(self._name)
+        hw.release(self.name)
         self._end(
             Outcome(
                 ErrorCode.INVALID_GOAL,
-                f"Current goal cancelled during deactivate transition: {self._name} was deactivated: {reason}",
+                f"Current goal cancelled during deactivate transition: {self.name} was deactivated: {reason}",
             )
         )
 
@@ -149,9 +132,9 @@ class JointTrajectoryController:
         if not self.writing:
             return
         if self._moving:
-            self._trajectory.sample(hw.time, self.position, self.velocity, self.acceleration)
+            self._trajectory.sample(hw.time, self._state)
             self._moving = hw.time < self._trajectory.end
-            self._write(hw)
+            hw.command[:, self.joints] = self._state
         if self._request:
             self._monitor(self._request, hw)
 
@@ -160,27 +143,22 @@ class JointTrajectoryController:
         """Robot time that ``time_from_start`` counts from [ns]: as stamped, or when the trajectory was taken up."""
         return (self._request.start if self._request else 0) or self._trajectory.start
 
-    def state_at(self, time: int) -> QueriedState:
+    def state_at(self, time: int) -> tuple[str, FloatArray]:
         """Where the set-point is, or will be, at a robot time [ns]: the service ``query_state``.
 
         After the end of the trajectory it is where the trajectory ended, but that is no success, as with the original.
-        """
-        if not self.active:
-            return QueriedState(f"{self._name} is not active", _NOTHING, _NOTHING, _NOTHING)
-        trajectory = self._trajectory
-        state = trajectory.at(time)
-        if time < trajectory.start:
-            early = (trajectory.start - time) * 1e-9
-            return QueriedState(f"{early:.3f} s before the trajectory begins", *state)
-        if time > trajectory.end:
-            late = (time - trajectory.end) * 1e-9
-            return QueriedState(f"{late:.3f} s after the trajectory has ended, where it holds", *state)
-        return QueriedState("", *state)
 
-    def _write(self, hw: ValorEscherHWInterface) -> None:
-        hw.command_position[self.joints] = self.position
-        hw.command_velocity[self.joints] = self.velocity
-        hw.command_acceleration[self.joints] = self.acceleration
+        Returns:
+            Why there is no answer, empty where there is one; (3, n) position, velocity and acceleration, or (3, 0).
+        """
+        trajectory, message = self._trajectory, ""
+        if not self.active:
+            return f"{self.name} is not active", np.zeros((3, 0))
+        if time < trajectory.start:
+            message = f"{(trajectory.start - time) * 1e-9:.3f} s before the trajectory begins"
+        elif time > trajectory.end:
+            message = f"{(time - trajectory.end) * 1e-9:.3f} s after the trajectory has ended, where it holds"
+        return message, trajectory.at(time)
 
     def _accept(self, hw: ValorEscherHWInterface) -> None:
         """Find out whether the Motion System accepts our joints, and wait while it does not."""
@@ -193,7 +171,7 @@ class JointTrajectoryController:
         self.writing = accepted
         if not accepted:
             self._waiting_since = hw.time
-            hw.pause(self._name)
+            hw.pause(self.name)
             return
         self._trajectory.delay(hw.time - self._waiting_since)
         moved = np.abs(hw.commanded[self.joints] - self.position)
@@ -203,14 +181,13 @@ class JointTrajectoryController:
             self._hold_motion_system(hw)
             text = f"aborted: the Motion System moved {name} by {moved[joint]:.3f} {unit} meanwhile"
             self._end(Outcome(ErrorCode.INVALID_GOAL, text))
-        self._write(hw)
-        hw.write(self._name, self.joints)
+        hw.command[:, self.joints] = self._state
+        hw.write(self.name, self.joints)
 
     def _hold_motion_system(self, hw: ValorEscherHWInterface) -> None:
         """Take for set-point what the Motion System commands."""
         self.position[:] = self.limits.position_within(hw.commanded[self.joints])
-        self.velocity.fill(0.0)
-        self.acceleration.fill(0.0)
+        self._state[1:] = 0.0
         self._trajectory = Trajectory.holding(hw.time, self.position)
         self._moving = False
 
@@ -219,23 +196,20 @@ class JointTrajectoryController:
         try:
             if not self.active:
                 raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL,
-                    f"{self._name} is not active: {hw.situation}; it is active in the control modes "
+                    f"{self.name} is not active: {hw.situation}; it is active in the control modes "
                     f"{self._modes}, unless a client has deactivated it",
                 )
             if not self.writing:
                 wanted = ", ".join(f"{field} {state}" for field, state in self._accepted_when)
                 present = hw.motion.behavior if hw.motion else "unknown"
                 raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL,
-                    f"the Motion System accepts no set-points for {self._name} in behavior {present}; "
-                    f"expected {wanted}",
+                    f"the Motion System accepts no set-points for {self.name} in behavior {present}; expected {wanted}",
                 )
-            trajectory = Trajectory.begin(
+            trajectory = begin(
                 request.waypoints,
                 request.start,
                 hw.time,
-                (self.position, self.velocity, self.acceleration),
+                self._state,
                 self.limits,
                 error=np.maximum(self._path, request.path.position),
             )
@@ -276,4 +250,4 @@ class JointTrajectoryController:
         if request and request.goal:
             request.goal.finish(outcome)
         if request and not outcome.canceled and outcome.code is not ErrorCode.SUCCESSFUL:
-            _log.warning("%s: %s", self._name, outcome.text)
+            _log.warning("%s: %s", self.name, outcome.text)

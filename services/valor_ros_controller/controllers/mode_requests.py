@@ -1,13 +1,33 @@
-"""Which control modes may be asked for, from where (thesis figure 4.3): a rule without memory."""
+"""Which control modes may be asked for, from where (thesis figure 4.3), and what who asks is told."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from valor.common.behaviors import EMERGENCY_STOP
 from valor.common.messages import ModeStatus
 from valor.valor_ros_controller.control_modes import ControlModeTable
+
+
+@dataclass(frozen=True)
+class ModeReport:
+    """The content of ``ControlModeStatus``."""
+
+    requested: str
+    current: str
+    status: ModeStatus
+
+
+class ModeClient(Protocol):
+    """Somebody who asked for a mode and waits for what became of it."""
+
+    def processing(self, report: ModeReport) -> None:
+        """The change is under way."""
+
+    def finish(self, report: ModeReport) -> None:
+        """The change is over, one way or the other."""
 
 
 class ModeRefusedError(ValueError):

@@ -5,37 +5,23 @@ Team ViGIR's tracking controllers did so for the legs while the robot's own cont
 
 from __future__ import annotations
 
+from valor.valor_ros_controller.controller_manager import Onlooker
 from valor.valor_ros_controller.controllers.configuration import TrackingControllerConfig
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 
-class TrackingController:
+class TrackingController(Onlooker):
     """One limb that is only looked at: it claims nothing.
 
     Attributes:
         joints: (n,) places of its joints in the hardware interface's vectors.
-        active: chosen by the control mode.
         refusal: of any goal, for its sender.
     """
 
     type = "valor_ros_controller/TrackingController"
-    command_interfaces = ()
-    state_interfaces = ("position", "velocity")
 
     def __init__(self, name: str, config: TrackingControllerConfig, hw: ValorEscherHWInterface) -> None:
         self.name = name
         self.joints = hw.group_indices(config.groups)
         self.limits = hw.limits(self.joints)
-        self.active = False
         self.refusal = f"{name} takes no goals: {config.goals}"
-
-    def start(self, hw: ValorEscherHWInterface) -> None:
-        """Be active."""
-        self.active = True
-
-    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
-        """Be inactive."""
-        self.active = False
-
-    def update(self, hw: ValorEscherHWInterface) -> None:
-        """Nothing is led from here."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
-from valor.valor_ros_controller.trajectory.errors import ErrorCode
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -66,3 +69,32 @@ class TrajectoryRequest:
             text = f"Aborted due to goal_time_tolerance exceeding by {late:g} seconds: {violation}"
             return Outcome(ErrorCode.GOAL_TOLERANCE_VIOLATED, text)
         return None
+
+
+def stated(
+    default: Tolerances, entries: Sequence[tuple[str, float, float]], names: Sequence[str], which: str
+) -> Tolerances:
+    """The tolerances of a goal: (joint, position, velocity) each; 0: the default, -1: not checked.
+
+    Args:
+        default: (n,) of the controller's joints.
+        entries: what the goal states.
+        names: (n,) of the joints.
+        which: name of the entries, for the error's text.
+
+    Raises:
+        InvalidTrajectoryError: an unknown joint, or a number that is none of these.
+    """
+    position, velocity = default.position.copy(), default.velocity.copy()
+    for name, *values in entries:
+        if name not in names:
+            text = f"{which} names {name!r}, which is none of {', '.join(names)}"
+            raise InvalidTrajectoryError(text)
+        joint = names.index(name)
+        for field, target, value in zip(("position", "velocity"), (position, velocity), values, strict=True):
+            if not np.isfinite(value) or (value < 0 and value != -1):
+                text = f"{which} of {name}: {field} is {value:g}; expected positive, 0 (default) or -1 (unchecked)"
+                raise InvalidTrajectoryError(text)
+            if value:
+                target[joint] = np.inf if value < 0 else value
+    return Tolerances(position, velocity)

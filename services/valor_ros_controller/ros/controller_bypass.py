@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Empty
 from valor_msgs.msg import BalanceWeights as RosBalanceWeights
 from valor_msgs.msg import HandGoalStatus as RosHandGoalStatus
@@ -51,6 +50,7 @@ from valor.common.topics import (
     VELOCITY,
 )
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
+from valor.valor_ros_controller.ros.node import LATCHED
 from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
@@ -65,7 +65,6 @@ HANDS = ("l_hand", "r_hand")
 QUEUE = 10  # commands on demand that wait for the update loop; more, and the oldest are let go
 AT_ONCE = 2  # of them, in one cycle
 LOOK = 5  # what comes back from the Motion System is looked for at every so many cycles
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class ControllerBypass:
@@ -128,7 +127,7 @@ class ControllerBypass:
         for kind, topic, obey in commands:
             ros.create_subscription(kind, topic, self._refusing(topic, refusal) if refusal else obey, 1)
         self._hand_status = [
-            TwinPublisher(ros, RosHandGoalStatus, f"/flor/{name}/goal_status", _LATCHED) for name in HANDS
+            TwinPublisher(ros, RosHandGoalStatus, f"/flor/{name}/goal_status", LATCHED) for name in HANDS
         ]
         self._rejection = TwinPublisher(ros, RosRejection, "/flor/controller/rejection", QUEUE)
 

@@ -33,10 +33,10 @@ from controller_manager_msgs.srv import (
 )
 from lifecycle_msgs.msg import State
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from valor.valor_ros_controller.controller_switch import SwitchAnswer
-from valor.valor_ros_controller.valor_escher_controller import ValorEscherController
+from valor.valor_ros_controller.controller_switch import ControllerSwitch, SwitchAnswer
+from valor.valor_ros_controller.ros.node import LATCHED
+from valor.valor_ros_controller.update_queue import UpdateQueue
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("controller_manager")
@@ -57,7 +57,8 @@ class ControllerManagerServices:
     def __init__(
         self,
         node: Node,
-        controller: ValorEscherController,
+        switch: ControllerSwitch,
+        queue: UpdateQueue,
         hw: ValorEscherHWInterface,
         *,
         rate: float,
@@ -69,7 +70,8 @@ class ControllerManagerServices:
 
         Args:
             node: the ROS node.
-            controller: whose managers.
+            switch: over all managers.
+            queue: into the update thread.
             hw: whose claims.
             rate: of the update loop [Hz].
             stamp: robot time, kept up to date by its owner.
@@ -77,8 +79,9 @@ class ControllerManagerServices:
             refusal: why no controllers are switched; empty: they are.
         """
         self._refusal = refusal
-        self._controller = controller
-        self._managers = (controller.modes, controller.joints, controller.robots)
+        self._switch = switch
+        self._queue = queue
+        self._managers = switch.managers
         self._hw = hw
         self._rate = round(rate)
         self._stamp = stamp
@@ -89,17 +92,16 @@ class ControllerManagerServices:
             (ListControllerTypes, "list_controller_types", self._list_types),
             (ListHardwareComponents, "list_hardware_components", self._list_components),
             (ListHardwareInterfaces, "list_hardware_interfaces", self._list_interfaces),
-            (SwitchController, "switch_controller", self._switch),
-            (LoadController, "load_controller", self._refuse_to("load")),
+            (SwitchController, "switch_controller", self._switch_controllers),
+            (LoadController, "load_controller", self._refuse_to("load_controller")),
             (ConfigureController, "configure_controller", self._configure),
-            (CleanupController, "cleanup_controller", self._refuse_to("cleanup")),
-            (UnloadController, "unload_controller", self._refuse_to("unload")),
-            (ReloadControllerLibraries, "reload_controller_libraries", self._reload),
+            (CleanupController, "cleanup_controller", self._refuse_to("cleanup_controller")),
+            (UnloadController, "unload_controller", self._refuse_to("unload_controller")),
+            (ReloadControllerLibraries, "reload_controller_libraries", self._refuse_to("reload_controller_libraries")),
             (SetHardwareComponentState, "set_hardware_component_state", self._set_component),
         ):
             node.create_service(kind, f"{NAMESPACE}/{name}", callback)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._activity = node.create_publisher(ControllerManagerActivity, f"{NAMESPACE}/activity", latched)
+        self._activity = node.create_publisher(ControllerManagerActivity, f"{NAMESPACE}/activity", LATCHED)
         self._published: tuple[int, bool] | None = None
 
     # --- update thread --------------------------------------------------------------------------------------------
@@ -133,7 +135,7 @@ class ControllerManagerServices:
         return _INACTIVE if self._silent() else _ACTIVE
 
     def _list_controllers(self, _: Any, response: Any) -> Any:
-        active, claims = self._controller.queue.call(self._look)
+        active, claims = self._queue.call(self._look)
         owners = set(claims.values())
         for name, controller in self._known.items():
             joints = [self._hw.names[i] for i in getattr(controller, "joints", ())]
@@ -158,7 +160,7 @@ class ControllerManagerServices:
 
     def _interfaces(self) -> tuple[list[Any], list[Any]]:
         """All command and state interfaces."""
-        _, claims = self._controller.queue.call(self._look)
+        _, claims = self._queue.call(self._look)
         available = not self._silent()
 
         def interfaces(kinds: tuple[str, ...], claimed: dict[int, str]) -> list[Any]:
@@ -192,15 +194,13 @@ class ControllerManagerServices:
         ]
         return response
 
-    def _switch(self, request: Any, response: Any) -> Any:
+    def _switch_controllers(self, request: Any, response: Any) -> Any:
         activate, deactivate = list(request.activate_controllers), list(request.deactivate_controllers)
         try:
             if self._refusal:
                 answer = SwitchAnswer(False, self._refusal)
             else:
-                answer = self._controller.queue.call(
-                    lambda: self._controller.switch.switch(activate, deactivate, request.strictness)
-                )
+                answer = self._queue.call(lambda: self._switch.switch(activate, deactivate, request.strictness))
         except TimeoutError as error:
             answer = SwitchAnswer(False, str(error))
         if answer.message:
@@ -210,7 +210,7 @@ class ControllerManagerServices:
 
     def _refuse_to(self, verb: str) -> Callable[[Any, Any], Any]:
         def refuse(request: Any, response: Any) -> Any:
-            _log.warning("%s_controller refused: %s: %s", verb, request.name, _LOADED)
+            _log.warning("%s refused: %s: %s", verb, getattr(request, "name", "all"), _LOADED)
             response.ok = False
             return response
 
@@ -218,17 +218,11 @@ class ControllerManagerServices:
 
     def _configure(self, request: Any, response: Any) -> Any:
         """An inactive controller is configured already; an active one cannot be."""
-        active, _ = self._controller.queue.call(self._look)
+        active, _ = self._queue.call(self._look)
         response.ok = request.name in self._known and request.name not in active
         if not response.ok:
             state = "is active" if request.name in active else "does not exist"
             _log.warning("configure_controller refused: %s %s", request.name, state)
-        return response
-
-    @staticmethod
-    def _reload(_: Any, response: Any) -> Any:
-        _log.warning("reload_controller_libraries refused: %s", _LOADED)
-        response.ok = False
         return response
 
     def _set_component(self, request: Any, response: Any) -> Any:

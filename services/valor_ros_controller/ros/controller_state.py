@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
-
 import numpy as np
 from builtin_interfaces.msg import Time
 from control_msgs.msg import JointTrajectoryControllerState
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valor.common.arrays import FloatArray
-from valor.robot.commanded_limits import CommandedLimits, Indices
-from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
+from valor.valor_ros_controller.ros.prepared_message import PreparedPublisher, mark, stamp_mark
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
-
-class Controller(Protocol):
-    """What is published of."""
-
-    name: str
-    joints: Indices
-    limits: CommandedLimits
-    active: bool
-
-
-class Reference(Protocol):
-    """A controller that has set-points of its own."""
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+Limb = JointTrajectoryController | TrackingController
 
 
 class ControllerStatePublisher:
@@ -40,21 +23,26 @@ class ControllerStatePublisher:
         rate: [Hz]; may be changed from any thread.
     """
 
-    def __init__(self, node: Node, topic: str, controller: Any, stamp: Time, rate: float) -> None:
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        controller: Limb,
+        stamp: Time,
+        rate: float,
+    ) -> None:
         """Open the topic.
 
         Args:
             node: the ROS node.
             topic: absolute.
-            controller: a ``Controller``; if it has no set-points (``Reference``), the Motion System's are its
-                reference.
+            controller: is published of; of one that only follows, the Motion System's set-points are the reference.
             stamp: robot time, kept up to date by its owner.
             rate: [Hz].
         """
         self.rate = rate
-        self._controller: Controller = controller
-        self._reference: Reference | None = controller if hasattr(controller, "position") else None
-        self._stamp = stamp
+        self._controller = controller
+        self._reference = controller if isinstance(controller, JointTrajectoryController) else None
         self._next = 0
         n = len(controller.joints)
         derivatives = 3 if self._reference else 1  # position, velocity, acceleration of the reference
@@ -68,10 +56,8 @@ class ControllerStatePublisher:
         state = JointTrajectoryControllerState(speed_scaling_factor=1.0, joint_names=list(controller.limits.names))
         state.header.stamp = stamp_mark()
         state.reference, state.feedback, state.error, state.output = points
-        self._message = PreparedMessage(state, begin)
-        rows = self._message.values.reshape(-1, n)
-        self._rows = np.split(rows, np.cumsum(counts)[:-1])
-        self._publisher = node.create_publisher(JointTrajectoryControllerState, topic, 1)
+        self._publisher = PreparedPublisher(node, topic, state, begin, stamp=stamp, queue=1)
+        self._rows = np.split(self._publisher.values.reshape(-1, n), np.cumsum(counts)[:-1])
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
         """Publish if it is due."""
@@ -80,15 +66,14 @@ class ControllerStatePublisher:
         if not controller.active or self._next - period <= time < self._next:
             return
         self._next = time + period
-        if not self._publisher.get_subscription_count():
+        if not self._publisher.heard:
             return
         reference, feedback, error, output = self._rows
-        if self._reference:
-            own = self._reference
+        if own := self._reference:
             reference[0], reference[1], reference[2] = own.position, own.velocity, own.acceleration
         else:
             reference[0] = hw.commanded[controller.joints]
         feedback[0], feedback[1] = hw.position[controller.joints], hw.velocity[controller.joints]
         np.subtract(reference[: len(error)], feedback[: len(error)], out=error)
         output[:] = reference
-        self._publisher.publish(self._message.serialized(self._stamp))
+        self._publisher.publish()

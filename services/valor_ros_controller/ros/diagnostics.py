@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import nan
 from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -19,9 +18,7 @@ import bifrost
 from valor.common.behaviors import FALLEN
 from valor.common.messages import DeviceStatus, Statistics
 from valor.common.topics import DEVICES, STATISTICS
-from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
 
 PERIOD = 1.0  # [s]
 _SILENT = 3.0  # a process whose statistics are older than this has stopped [s]
@@ -30,52 +27,25 @@ _SLOW = 0.9  # a rate below this fraction of the nominal one is worth a warning
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What the update thread hands over. Ages in seconds, counts since start."""
+    """What the update thread hands over.
 
-    silent: str  # process; empty: none
+    Attributes:
+        silent: name of the process that is; empty: none.
+        behavior: of the Motion System.
+        behavior_reason: of its last change.
+        control_mode: the present one.
+        cycles: since start.
+        motion_system: what else is said of the Motion System.
+        controller: and of the VRC.
+    """
+
+    silent: str
     behavior: str
     behavior_reason: str
-    proprioceptor_age: float
-    motion_state_age: float
-    messages_rejected: int
-    battery_voltage: float  # [V]
-    last_command_refusal: str  # of what passes the controllers by
-    commands_refused: int
-    set_points_sent: int
-    set_points_clamped: int
-    cycles: int
     control_mode: str
-    last_mode_refusal: str
-    modes_refused: int
-    joint_controllers: tuple[str, ...]
-    last_trajectory_refusal: str
-    trajectories_refused: int
-
-    @classmethod
-    def of(cls, core: Core, bypass: ControllerBypass, cycles: int) -> Snapshot:
-        """Of now, after so many cycles. Update thread."""
-        interface, mode, hw = core.interface, core.mode_controller, core.hw
-        refused = [controller for controller in core.trajectories.values() if controller.last_refusal]
-        return cls(
-            silent=interface.silent,
-            behavior=interface.behavior,
-            behavior_reason=interface.behavior_reason,
-            proprioceptor_age=interface.proprioceptor_age,
-            motion_state_age=interface.motion_state_age,
-            messages_rejected=interface.rejected,
-            battery_voltage=hw.measured.battery_voltage if hw.measured else nan,
-            last_command_refusal=bypass.last_refusal,
-            commands_refused=bypass.refusals,
-            set_points_sent=interface.set_points_sent,
-            set_points_clamped=hw.clamped,
-            cycles=cycles,
-            control_mode=mode.current,
-            last_mode_refusal=mode.last_refusal,
-            modes_refused=mode.rejected,
-            joint_controllers=core.controller.joints.active,
-            last_trajectory_refusal="; ".join(controller.last_refusal for controller in refused),
-            trajectories_refused=sum(controller.rejected for controller in core.trajectories.values()),
-        )
+    cycles: int
+    motion_system: Mapping[str, object]
+    controller: Mapping[str, object]
 
 
 class ProcessDiagnostics:
@@ -206,12 +176,7 @@ class Diagnostics:
         values = {
             "behavior": snapshot.behavior,
             "reason of the last change": snapshot.behavior_reason,
-            "proprioceptor age [s]": f"{snapshot.proprioceptor_age:.3f}",
-            "motion_state age [s]": f"{snapshot.motion_state_age:.3f}",
-            "messages rejected": snapshot.messages_rejected,
-            "battery [V]": f"{snapshot.battery_voltage:.1f}",
-            "commands refused": snapshot.commands_refused,
-            "last command refused": snapshot.last_command_refusal,
+            **snapshot.motion_system,
         }
         return _status(level, "valor: motion system", text, values)
 
@@ -223,14 +188,8 @@ class Diagnostics:
         text = f"{rate:.0f} Hz, expected {self._rate:.0f} Hz" if slow else snapshot.control_mode
         values = {
             "control mode": snapshot.control_mode,
-            "control modes refused": snapshot.modes_refused,
-            "last control mode refused": snapshot.last_mode_refusal,
-            "joint controllers": ", ".join(snapshot.joint_controllers),
-            "trajectories refused": snapshot.trajectories_refused,
-            "last trajectory refused": snapshot.last_trajectory_refusal,
             "rate [Hz]": f"{rate:.0f}",
-            "set-points sent": snapshot.set_points_sent,
-            "set-points clamped": snapshot.set_points_clamped,
+            **snapshot.controller,
         }
         return _status(level, "valor: valor_ros_controller", text, values)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import nan
+
 from builtin_interfaces.msg import Time
 
 from valor.common.behaviors import ControlMode
@@ -13,7 +15,7 @@ from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 from valor.valor_ros_controller.ros.control_mode_action import ControlModeAction
 from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor.valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
-from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher
+from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher, Limb
 from valor.valor_ros_controller.ros.diagnostics import Diagnostics, Snapshot
 from valor.valor_ros_controller.ros.footstep_state import FootstepStatePublisher
 from valor.valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
@@ -68,7 +70,8 @@ class Faces:
         self._footsteps = FootstepStatePublisher(node, core.footsteps, stamp)
         self._managers = ControllerManagerServices(
             node,
-            core.controller,
+            core.switch,
+            core.queue,
             core.hw,
             rate=rate,
             stamp=stamp,
@@ -88,14 +91,14 @@ class Faces:
         for name, controller in core.trajectories.items():
             base = f"{table.namespace}/{name}"
             TrajectoryParameters(self._parameters, controller, configs[name])
-            JointTrajectoryAction(node, base, controller, self._stamp, core.controller.queue, refusal=self._refusal)
+            JointTrajectoryAction(node, base, controller, self._stamp, core.queue, refusal=self._refusal)
             states.append(self._open_state(name, controller, configs[name].state_publish_rate))
         for name, follower in core.tracking.items():
             TrackingAction(node, f"{table.namespace}/{name}", follower)
             states.append(self._open_state(name, follower, table.tracking_controllers[name].state_publish_rate))
         return states
 
-    def _open_state(self, name: str, controller: object, default: float) -> ControllerStatePublisher:
+    def _open_state(self, name: str, controller: Limb, default: float) -> ControllerStatePublisher:
         topic = f"{self._core.table.namespace}/{name}/controller_state"
         publisher = ControllerStatePublisher(self._node, topic, controller, self._stamp, default)
 
@@ -127,6 +130,29 @@ class Faces:
         self._managers.publish()
         self._status.publish(mode)
 
-    def hand_over(self, snapshot: Snapshot) -> None:
-        """Give the diagnostics how we fare."""
-        self._snapshots.write(snapshot)
+    def hand_over(self, cycles: int) -> None:
+        """Give the diagnostics how the core fares, after so many cycles."""
+        core, bypass = self._core, self.bypass
+        interface, modes, hw, trajectories = core.interface, core.mode_controller, core.hw, core.trajectories.values()
+        voltage = hw.measured.battery_voltage if hw.measured else nan
+        motion_system = {
+            "proprioceptor age [s]": f"{interface.proprioceptor_age:.3f}",
+            "motion_state age [s]": f"{interface.motion_state_age:.3f}",
+            "messages rejected": interface.rejected,
+            "battery [V]": f"{voltage:.1f}",
+            "commands refused": bypass.refusals,
+            "last command refused": bypass.last_refusal,
+        }
+        controller = {
+            "control modes refused": modes.rejected,
+            "last control mode refused": modes.last_refusal,
+            "joint controllers": ", ".join(core.joints.active),
+            "trajectories refused": sum(each.rejected for each in trajectories),
+            "last trajectory refused": "; ".join(each.last_refusal for each in trajectories if each.last_refusal),
+            "set-points sent": interface.set_points_sent,
+            "set-points clamped": hw.clamped,
+        }
+        behavior, reason = interface.behavior, interface.behavior_reason
+        self._snapshots.write(
+            Snapshot(interface.silent, behavior, reason, modes.current, cycles, motion_system, controller)
+        )

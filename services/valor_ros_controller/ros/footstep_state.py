@@ -10,12 +10,12 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 
 from valor.common.messages import StepStatus
 from valor.valor_ros_controller.controllers.footstep_controller import FootstepController, State
+from valor.valor_ros_controller.ros.node import LATCHED
 
 TOPIC = "/robot_controllers/footstep_controller/controller_state"
 _STEPPING = {
@@ -39,8 +39,7 @@ class FootstepStatePublisher:
         """
         self._controller = controller
         self._stamp = stamp
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = node.create_publisher(ExecuteStepPlan.Feedback, TOPIC, latched)
+        self._publisher = node.create_publisher(ExecuteStepPlan.Feedback, TOPIC, LATCHED)
         self._published: tuple[Any, ...] | None = None
 
     def publish(self) -> None:

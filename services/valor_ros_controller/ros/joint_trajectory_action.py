@@ -15,11 +15,13 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
-from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController, QueriedState
-from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest
+from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest, stated
 from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
+from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point, check_waypoints
+from valor.valor_ros_controller.trajectory.tolerances import Tolerances
+from valor.valor_ros_controller.trajectory.waypoints import Point
 from valor.valor_ros_controller.update_queue import UpdateQueue
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
@@ -130,15 +132,9 @@ class JointTrajectoryAction:
         request = handle.request
         try:
             multi = request.multi_dof_trajectory
-            if (
-                multi.joint_names
-                or multi.points
-                or request.component_path_tolerance
-                or request.component_goal_tolerance
-            ):
-                raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL, "joints with several degrees of freedom: this controller has none"
-                )
+            components = request.component_path_tolerance or request.component_goal_tolerance
+            if multi.joint_names or multi.points or components:
+                raise InvalidTrajectoryError("joints with several degrees of freedom: this controller has none")
             self._controller.submit(self._request(request.trajectory, request, goal))
         except InvalidTrajectoryError as error:
             self._controller.refuse(goal, error)
@@ -160,15 +156,13 @@ class JointTrajectoryAction:
         """Where the trajectory is at a time."""
         time = _nanoseconds(request.time)
         try:
-            state = self._queue.call(lambda: self._controller.state_at(time))
+            response.message, state = self._queue.call(lambda: self._controller.state_at(time))
         except TimeoutError as error:
-            state = QueriedState(str(error), *np.zeros((3, 0)))
-        response.success, response.message = not state.message, state.message
-        if state.position.size:
+            response.message, state = str(error), np.zeros((3, 0))
+        response.success = not response.message
+        if state.size:
             response.name = self._names
-        response.position = _numbers(state.position)
-        response.velocity = _numbers(state.velocity)
-        response.acceleration = _numbers(state.acceleration)
+        response.position, response.velocity, response.acceleration = map(_numbers, state)
         return response
 
     def _request(self, trajectory: Any, goal: Any, client: Goal | None) -> TrajectoryRequest:
@@ -178,7 +172,7 @@ class JointTrajectoryAction:
             InvalidTrajectoryError: it is not to be run.
         """
         if self._refusal:
-            raise InvalidTrajectoryError(ErrorCode.INVALID_GOAL, self._refusal)
+            raise InvalidTrajectoryError(self._refusal)
         controller, settings = self._controller, self._controller.settings
         points = [
             Point(p.positions, p.velocities, p.accelerations, p.effort, _nanoseconds(p.time_from_start) * 1e-9)
@@ -192,18 +186,17 @@ class JointTrajectoryAction:
         )
         path, at_goal, goal_time = settings.path, settings.goal, settings.goal_time
         if goal is not None:
-            for which, entries in (("path_tolerance", goal.path_tolerance), ("goal_tolerance", goal.goal_tolerance)):
-                overrides = [(entry.name, entry.position, entry.velocity) for entry in entries]
-                if which == "path_tolerance":
-                    path = path.override(overrides, controller.limits.names, which)
-                else:
-                    at_goal = at_goal.override(overrides, controller.limits.names, which)
-            stated = _nanoseconds(goal.goal_time_tolerance) * 1e-9
-            if stated < 0 and not np.isclose(stated, -1.0):
+            path = self._stated(path, goal, "path_tolerance")
+            at_goal = self._stated(at_goal, goal, "goal_tolerance")
+            late = _nanoseconds(goal.goal_time_tolerance) * 1e-9
+            if late < 0 and not np.isclose(late, -1.0):
                 raise InvalidTrajectoryError(
-                    ErrorCode.INVALID_GOAL,
-                    f"goal_time_tolerance is {stated:g} s; expected 0 or more, or -1 (unchecked)",
+                    f"goal_time_tolerance is {late:g} s; expected 0 or more, or -1 (unchecked)"
                 )
-            if stated:
-                goal_time = max(0.0, stated)
+            if late:
+                goal_time = max(0.0, late)
         return TrajectoryRequest(waypoints, _nanoseconds(trajectory.header.stamp), path, at_goal, goal_time, client)
+
+    def _stated(self, default: Tolerances, goal: Any, which: str) -> Tolerances:
+        entries = [(entry.name, entry.position, entry.velocity) for entry in getattr(goal, which)]
+        return stated(default, entries, self._names, which)

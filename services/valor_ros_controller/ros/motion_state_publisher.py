@@ -6,12 +6,12 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PointStamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool
 from valor_msgs.msg import MotionState as RosMotionState
 
 from bifrost import Received
 from valor.common.messages import MotionState
+from valor.valor_ros_controller.ros.node import LATCHED
 from valor.valor_ros_controller.ros.transforms import ODOM
 from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
 
@@ -19,7 +19,6 @@ RATE = 25.0  # of the points [Hz]
 STATE_RATE = 10.0  # of the motion state [Hz]
 POINTS = ("com", "dcm", "dcm_reference", "cop")
 TOUCHING = ("l_foot", "r_foot", "l_hand", "r_hand")
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class MotionStatePublisher:
@@ -45,9 +44,9 @@ class MotionStatePublisher:
             message = PointStamped()
             message.header.stamp, message.header.frame_id = stamp, ODOM
             self._points.append((node.create_publisher(PointStamped, f"/flor/state/{name}", 5), message))
-        self._contacts = [node.create_publisher(Bool, f"/flor/{limb}/contact", _LATCHED) for limb in TOUCHING]
+        self._contacts = [node.create_publisher(Bool, f"/flor/{limb}/contact", LATCHED) for limb in TOUCHING]
         self._touching: list[int | None] = [None] * len(TOUCHING)
-        self._state = TwinPublisher(node, RosMotionState, "/flor/controller/motion_state", _LATCHED)
+        self._state = TwinPublisher(node, RosMotionState, "/flor/controller/motion_state", LATCHED)
         self._behavior = ""
 
     def publish(self, received: Received[MotionState] | None) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from valor.common.errors import ConfigurationError
@@ -18,6 +19,8 @@ from valor.common.floods import TopicFloods
 
 PERIOD = 4e-3  # that of the update loop [s]
 CALLBACKS = 10  # in one
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of topics that say how things are: who joins late is told the last message, too."""
 
 _log = logging.getLogger("ros")
 

@@ -5,8 +5,10 @@ rclpy refuses what is of another type or out of the range, names the parameter a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,12 +16,8 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.valor_ros_controller.controllers.configuration import (
-    Settings,
-    TrajectoryControllerConfig,
-)
+from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 
@@ -38,20 +36,6 @@ TOLERANCE = Range(0.0, 100.0)
 RATE = Range(0.1, 500.0)
 SECONDS = Range(0.0, 3600.0)
 DECELERATION = Range(0.01, 1000.0)
-
-
-@dataclass(frozen=True)
-class _EachJoint:
-    """A parameter that every joint has."""
-
-    key: str
-    description: str
-    values: Range
-
-
-_PATH = _EachJoint("trajectory", "most error on the way [rad or m]; 0: not checked", TOLERANCE)
-_GOAL = _EachJoint("goal", "most error at the goal [rad or m]; 0: not checked", TOLERANCE)
-_MAX_DECELERATION = _EachJoint("max_deceleration_on_cancel", "[rad/s² or m/s²]", DECELERATION)
 
 
 class Parameters:
@@ -106,10 +90,24 @@ class Parameters:
                 on_change(parameter.value)
 
 
+_OF_CONTROLLER: Mapping[str, tuple[str, Range | None]] = {
+    "allow_partial_joints_goal": ("joints may be left out of a trajectory", None),
+    "action_monitor_rate": ("of feedback [Hz]", RATE),
+    "constraints.goal_time": ("how late a goal may be reached [s]; 0: however late", SECONDS),
+    "constraints.stopped_velocity_tolerance": ("most velocity at the goal [rad/s or m/s]; 0: not checked", TOLERANCE),
+    "constraints.decelerate_on_cancel": ("come to rest with max_deceleration_on_cancel, else at once", None),
+}
+_OF_EACH_JOINT: Mapping[str, tuple[str, Range]] = {
+    "trajectory": ("most error on the way [rad or m]; 0: not checked", TOLERANCE),
+    "goal": ("most error at the goal [rad or m]; 0: not checked", TOLERANCE),
+    "max_deceleration_on_cancel": ("[rad/s² or m/s²]", DECELERATION),
+}
+
+
 class TrajectoryParameters:
     """The parameters of one trajectory controller, under ``joint_trajectory_controller``'s names.
 
-    Its settings are made anew from all of them whenever one changes.
+    Defaults are those of controllers.yaml. The controller's settings are made anew whenever one changes.
     """
 
     def __init__(
@@ -120,70 +118,34 @@ class TrajectoryParameters:
         Raises:
             ConfigurationError: one was set at start to what it cannot be.
         """
-        self._controller = controller
         self._declare = parameters.declare
-        self._prefix = controller.name
-        constraints, each = config.constraints, config.each_joint
-        n = len(controller.joints)
-        self._partial = self._keep(
-            "allow_partial_joints_goal", config.allow_partial_joints_goal, "joints may be left out of a trajectory"
-        )
-        self._monitor_rate = self._keep("action_monitor_rate", config.action_monitor_rate, "of feedback [Hz]", RATE)
-        self._goal_time = self._keep(
-            "constraints.goal_time",
-            constraints.goal_time,
-            "how late a goal may be reached [s]; 0: however late",
-            SECONDS,
-        )
-        self._stopped = self._keep(
-            "constraints.stopped_velocity_tolerance",
-            constraints.stopped_velocity_tolerance,
-            "most velocity at the goal [rad/s or m/s]; 0: not checked",
-            TOLERANCE,
-        )
-        self._decelerate = self._keep(
-            "constraints.decelerate_on_cancel",
-            constraints.decelerate_on_cancel,
-            "come to rest with max_deceleration_on_cancel, else at once",
-        )
-        self._path, self._goal, self._deceleration = np.zeros((3, n))
-        for kept, each_joint, default in (
-            (self._path, _PATH, each.trajectory),
-            (self._goal, _GOAL, each.goal),
-            (self._deceleration, _MAX_DECELERATION, each.max_deceleration_on_cancel),
-        ):
-            for i, joint in enumerate(controller.limits.names):
-                self._keep_at(kept, i, joint, each_joint, default)
+        self._controller = controller
+        self._values: dict[str, Any] = {}
+        for key, about in _OF_CONTROLLER.items():
+            self._keep(key, attrgetter(key)(config), about)
+        for joint, (key, about_joint) in product(controller.limits.names, _OF_EACH_JOINT.items()):
+            self._keep(f"constraints.{joint}.{key}", getattr(config.each_joint, key), about_joint)
         self._apply()
 
-    def _keep(self, key: str, default: T, description: str, values: Range | None = None) -> list[T]:
-        """A parameter's value, in a list of one that changes with it."""
-        kept: list[T] = []
-
-        def change(value: T) -> None:
-            kept[0] = value
+    def _keep(self, key: str, default: Any, about: tuple[str, Range | None]) -> None:
+        def change(value: Any) -> None:
+            self._values[key] = value
             self._apply()
 
-        kept.append(self._declare(f"{self._prefix}.{key}", default, description, values, change))
-        return kept
+        self._values[key] = self._declare(f"{self._controller.name}.{key}", default, *about, change)
 
-    def _keep_at(self, kept: FloatArray, place: int, joint: str, each: _EachJoint, default: float) -> None:
-        """A parameter's value, at a place of a vector."""
-
-        def change(value: float) -> None:
-            kept[place] = value
-            self._apply()
-
-        name = f"{self._prefix}.constraints.{joint}.{each.key}"
-        kept[place] = self._declare(name, default, each.description, each.values, change)
+    def _each_joint(self, key: str) -> list[float]:
+        return [self._values[f"constraints.{joint}.{key}"] for joint in self._controller.limits.names]
 
     def _apply(self) -> None:
+        values = self._values
+        stopped = values["constraints.stopped_velocity_tolerance"]
         self._controller.settings = Settings(
-            allow_partial_joints_goal=self._partial[0],
-            action_monitor_rate=self._monitor_rate[0],
-            path=Tolerances.default(self._path.tolist(), 0.0),
-            goal=Tolerances.default(self._goal.tolist(), self._stopped[0]),
-            goal_time=self._goal_time[0],
-            decelerate_on_cancel=self._decelerate[0],
-            max_deceleration=self._deceleration.copy(),
+            allow_partial_joints_goal=values["allow_partial_joints_goal"],
+            action_monitor_rate=values["action_monitor_rate"],
+            path=Tolerances.default(self._each_joint("trajectory"), 0.0),
+            goal=Tolerances.default(self._each_joint("goal"), stopped),
+            goal_time=values["constraints.goal_time"],
+            decelerate_on_cancel=values["constraints.decelerate_on_cancel"],
+            max_deceleration=np.array(self._each_joint("max_deceleration_on_cancel")),
         )

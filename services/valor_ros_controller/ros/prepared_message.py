@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
 from valor.common.arrays import FloatArray
@@ -59,6 +60,39 @@ class PreparedMessage:
         self._words[self._seconds] = stamp.sec
         self._words[self._seconds + 1] = stamp.nanosec
         return bytes(memoryview(self._bytes)[: self._length])
+
+
+class PreparedPublisher:
+    """Publishes one prepared message.
+
+    Attributes:
+        values: (count,) to be written before ``publish``.
+    """
+
+    def __init__(self, node: Node, topic: str, message: Any, count: int, *, stamp: Time, queue: int) -> None:
+        """Open the topic.
+
+        Args:
+            node: the ROS node.
+            topic: absolute.
+            message: with ``count`` marks, as of ``PreparedMessage``.
+            count: of them.
+            stamp: robot time, kept up to date by its owner.
+            queue: depth of the topic.
+        """
+        self._message = PreparedMessage(message, count)
+        self._stamp = stamp
+        self._publisher = node.create_publisher(type(message), topic, queue)
+        self.values = self._message.values
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody listens."""
+        return bool(self._publisher.get_subscription_count())
+
+    def publish(self) -> None:
+        """Publish the present ``values``, stamped."""
+        self._publisher.publish(self._message.serialized(self._stamp))
 
 
 def _serialized(message: Any) -> bytes:

@@ -6,26 +6,27 @@ decided by ``PUBLICATIONS``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import nan
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, Imu, JointState
 from std_msgs.msg import String
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
+from valor.common.rotation import conjugate, rotate
 from valor.robot.description import RobotDescription
+from valor.robot.tables import SensorNoise
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
-from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.valor_ros_controller.ros.node import LATCHED
+from valor.valor_ros_controller.ros.prepared_message import PreparedPublisher, mark, stamp_mark
 from valor.valor_ros_controller.ros.transforms import ODOM, TransformPublisher
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
@@ -56,9 +57,9 @@ RATES = {publication.name: publication.rate for publication in PUBLICATIONS}
 TOPICS = {publication.name: publication.topics for publication in PUBLICATIONS}
 
 
-def _diagonal(variances: tuple[float, ...]) -> FloatArray:
+def _diagonal(variances: Iterable[float]) -> FloatArray:
     """Row-major covariance."""
-    return np.diag(variances).ravel()
+    return np.diag(list(variances)).ravel()
 
 
 def _mark_vector(vector: Vector3 | Point, first: int) -> None:
@@ -68,6 +69,54 @@ def _mark_vector(vector: Vector3 | Point, first: int) -> None:
 def _mark_quaternion(q: Quaternion, first: int) -> None:
     """In our order: w, x, y, z."""
     q.w, q.x, q.y, q.z = map(mark, range(first, first + 4))
+
+
+def _joint_states(robot: RobotDescription) -> JointState:
+    n = len(robot.joints)
+    message = JointState(name=list(robot.joints))
+    message.header.stamp = stamp_mark()
+    message.position, message.velocity, message.effort = ([mark(n * i + j) for j in range(n)] for i in range(3))
+    return message
+
+
+def _imu(frame: str, noise: SensorNoise) -> Imu:
+    message = Imu()
+    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    _mark_quaternion(message.orientation, 0)
+    _mark_vector(message.angular_velocity, 4)
+    _mark_vector(message.linear_acceleration, 7)
+    message.orientation_covariance = _diagonal((noise.orientation**2,) * 3)
+    message.angular_velocity_covariance = _diagonal((noise.gyroscope**2,) * 3)
+    message.linear_acceleration_covariance = _diagonal((noise.accelerometer**2,) * 3)
+    return message
+
+
+def _wrench(frame: str) -> WrenchStamped:
+    message = WrenchStamped()
+    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    _mark_vector(message.wrench.force, 0)
+    _mark_vector(message.wrench.torque, 3)
+    return message
+
+
+def _pelvis_pose() -> PoseStamped:
+    message = PoseStamped()
+    message.header.stamp, message.header.frame_id = stamp_mark(), ODOM
+    _mark_vector(message.pose.position, 0)
+    _mark_quaternion(message.pose.orientation, 3)
+    return message
+
+
+def _odometry(base_frame: str, noise: SensorNoise) -> Odometry:
+    """The Motion Manager's estimator says how sure it is; the gyroscope's noise is the IMU's."""
+    message = Odometry(child_frame_id=base_frame)
+    message.header.stamp, message.header.frame_id = stamp_mark(), ODOM
+    message.pose.pose = _pelvis_pose().pose
+    _mark_vector(message.twist.twist.linear, 7)
+    _mark_vector(message.twist.twist.angular, 10)
+    message.pose.covariance = _diagonal(mark(13 + i) for i in range(6))
+    message.twist.covariance = _diagonal((*(mark(19 + i) for i in range(3)), *(noise.gyroscope**2,) * 3))
+    return message
 
 
 class Publisher:
@@ -86,67 +135,37 @@ class Publisher:
             rate: of the update loop [Hz].
             simulated: whether robot time is to be everybody's clock.
         """
-        self._stamp = stamp
-        self._cycle = 0
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._description = node.create_publisher(String, "/robot_description", latched)
-        self._description.publish(String(data=tree.urdf))
-        self._transforms = TransformPublisher(node, tree, robot, stamp)
-        tables = robot.tables
 
+        def prepared(topic: str, message: object, count: int) -> PreparedPublisher:
+            return PreparedPublisher(node, topic, message, count, stamp=stamp, queue=QUEUE)
+
+        def wrenches(name: str, sites: tuple[str, str]) -> list[PreparedPublisher]:
+            frames = map(tree.frame_of, sites)
+            return [prepared(topic, _wrench(frame), 6) for topic, frame in zip(TOPICS[name], frames, strict=True)]
+
+        tables = robot.tables
+        (joints_topic,), (imu_topic,), (pose_topic, odom_topic) = (TOPICS[name] for name in ("joints", "imu", "pelvis"))
+        noise = max((profile.noise for profile in tables.actuators.values()), key=lambda noise: noise.gyroscope)
+        self._cycle = 0
+        node.create_publisher(String, "/robot_description", LATCHED).publish(String(data=tree.urdf))
         self._clock = node.create_publisher(Clock, *TOPICS["clock"], 1) if simulated else None
         self._clock_message = Clock(clock=stamp)
-
-        n = len(robot.joints)
-        self._joints = node.create_publisher(JointState, *TOPICS["joints"], QUEUE)
-        joints = JointState(name=list(robot.joints))
-        joints.header.stamp = stamp_mark()
-        joints.position, joints.velocity, joints.effort = ([mark(n * i + j) for j in range(n)] for i in range(3))
-        self._joint_message = PreparedMessage(joints, 3 * n)
-        self._joint_vectors = self._joint_message.values.reshape(3, n)
-
-        self._imu = node.create_publisher(Imu, *TOPICS["imu"], QUEUE)
-        imu = Imu()
-        imu.header.stamp, imu.header.frame_id = stamp_mark(), tree.frame_of(tables.imu.site)
-        _mark_quaternion(imu.orientation, 0)
-        _mark_vector(imu.angular_velocity, 4)
-        _mark_vector(imu.linear_acceleration, 7)
-        noise = max((profile.noise for profile in tables.actuators.values()), key=lambda noise: noise.gyroscope)
-        for field, deviation in (
-            ("orientation_covariance", noise.orientation),
-            ("angular_velocity_covariance", noise.gyroscope),
-            ("linear_acceleration_covariance", noise.accelerometer),
-        ):
-            setattr(imu, field, _diagonal((deviation**2,) * 3))
-        self._imu_message = PreparedMessage(imu, 10)
-
-        self._feet = self._wrenches(node, "feet", tree, (tables.feet.left.sole, tables.feet.right.sole))
-        self._hands = self._wrenches(node, "hands", tree, (tables.hands.left.site, tables.hands.right.site))
-
-        pose_topic, odom_topic = TOPICS["pelvis"]
-        self._pose = node.create_publisher(PoseStamped, pose_topic, QUEUE)
-        pose = PoseStamped()
-        pose.header.stamp, pose.header.frame_id = stamp_mark(), ODOM
-        _mark_vector(pose.pose.position, 0)
-        _mark_quaternion(pose.pose.orientation, 3)
-        self._pose_message = PreparedMessage(pose, 7)
-        self._odom = node.create_publisher(Odometry, odom_topic, QUEUE)
-        odom = Odometry(child_frame_id=tree.base_frame)
-        odom.header.stamp, odom.header.frame_id = stamp_mark(), ODOM
-        odom.pose.pose = pose.pose
-        _mark_vector(odom.twist.twist.linear, 7)
-        _mark_vector(odom.twist.twist.angular, 10)
-        # The Motion Manager's estimator says how sure it is; the gyroscope's noise is the IMU's.
-        odom.pose.covariance = np.diag([mark(13 + i) for i in range(6)]).ravel()
-        odom.twist.covariance = _diagonal((*(mark(19 + i) for i in range(3)), *(noise.gyroscope**2,) * 3))
-        self._odom_message = PreparedMessage(odom, 22)
-
+        self._joints = prepared(joints_topic, _joint_states(robot), 3 * len(robot.joints))
+        self._joint_vectors = self._joints.values.reshape(3, -1)
+        self._imu = prepared(imu_topic, _imu(tree.frame_of(tables.imu.site), noise), 10)
+        self._feet = wrenches("feet", (tables.feet.left.sole, tables.feet.right.sole))
+        self._hands = wrenches("hands", (tables.hands.left.site, tables.hands.right.site))
+        self._pose = prepared(pose_topic, _pelvis_pose(), 7)
+        self._odom = prepared(odom_topic, _odometry(tree.base_frame, noise), 22)
+        self._transforms = TransformPublisher(node, tree, robot, stamp)
         self._battery = node.create_publisher(BatteryState, *TOPICS["battery"], 1)
         unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
         self._battery_message = BatteryState(present=True, **unknown)
         self._battery_message.header.stamp = stamp
+        self._schedule(rate)
 
-        # Work is spread over cycles: the n-th of these begins in the n-th cycle.
+    def _schedule(self, rate: float) -> None:
+        """Spread the work over cycles: the n-th of these begins in the n-th cycle."""
         self._joints_every = max(1, round(rate / RATES["joints"]))
         self._due: list[tuple[int, int, Callable[[ValorEscherHWInterface], None]]] = []
         for offset, (name, publish) in enumerate(
@@ -161,19 +180,6 @@ class Publisher:
         ):
             every = max(1, round(rate / RATES[name]))
             self._due.append((every, offset % every, publish))
-
-    @staticmethod
-    def _wrenches(
-        node: Node, name: str, tree: KinematicTree, sites: tuple[str, str]
-    ) -> list[tuple[Any, PreparedMessage]]:
-        pairs = []
-        for topic, site in zip(TOPICS[name], sites, strict=True):
-            message = WrenchStamped()
-            message.header.stamp, message.header.frame_id = stamp_mark(), tree.frame_of(site)
-            _mark_vector(message.wrench.force, 0)
-            _mark_vector(message.wrench.torque, 3)
-            pairs.append((node.create_publisher(WrenchStamped, topic, QUEUE), PreparedMessage(message, 6)))
-        return pairs
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
         """Publish what else is due in this cycle."""
@@ -195,14 +201,14 @@ class Publisher:
         measured = _measured(hw)
         vectors = self._joint_vectors
         vectors[0], vectors[1], vectors[2] = measured.joint_position, measured.joint_velocity, measured.joint_effort
-        self._joints.publish(self._joint_message.serialized(self._stamp))
+        self._joints.publish()
 
     def _publish_imu(self, hw: ValorEscherHWInterface) -> None:
-        measured, values = _measured(hw), self._imu_message.values
+        measured, values = _measured(hw), self._imu.values
         values[:4] = measured.imu_orientation
         values[4:7] = measured.imu_angular_velocity
         values[7:] = measured.imu_linear_acceleration
-        self._imu.publish(self._imu_message.serialized(self._stamp))
+        self._imu.publish()
 
     def _publish_feet(self, hw: ValorEscherHWInterface) -> None:
         measured = _measured(hw)
@@ -212,26 +218,28 @@ class Publisher:
         measured = _measured(hw)
         self._publish_wrenches(self._hands, measured.left_hand_wrench, measured.right_hand_wrench)
 
-    def _publish_wrenches(self, pairs: list[tuple[Any, PreparedMessage]], left: FloatArray, right: FloatArray) -> None:
-        for (publisher, message), wrench in zip(pairs, (left, right), strict=True):
-            message.values[:] = wrench
-            publisher.publish(message.serialized(self._stamp))
+    @staticmethod
+    def _publish_wrenches(publishers: list[PreparedPublisher], *wrenches: FloatArray) -> None:
+        for publisher, wrench in zip(publishers, wrenches, strict=True):
+            publisher.values[:] = wrench
+            publisher.publish()
 
     def _publish_pelvis(self, hw: ValorEscherHWInterface) -> None:
         motion = hw.motion
         if motion is None:
             return
-        pose, odom = self._pose_message.values, self._odom_message.values
+        pose, odom = self._pose.values, self._odom.values
         odom[:3] = motion.pelvis_position_in_odom
         odom[3:7] = motion.pelvis_orientation_in_odom
         pose[:] = odom[:7]
-        self._pose.publish(self._pose_message.serialized(self._stamp))
-        odom[7:10] = _into(motion.pelvis_orientation_in_odom, motion.pelvis_linear_velocity_in_odom)
+        self._pose.publish()
+        into_pelvis = conjugate(motion.pelvis_orientation_in_odom.tolist())
+        odom[7:10] = rotate(into_pelvis, motion.pelvis_linear_velocity_in_odom.tolist())  # the twist is the child's
         odom[10:13] = motion.pelvis_angular_velocity_in_pelvis
         odom[13:16] = motion.pelvis_position_variance
         odom[16:19] = motion.pelvis_orientation_variance
         odom[19:] = motion.pelvis_linear_velocity_variance
-        self._odom.publish(self._odom_message.serialized(self._stamp))
+        self._odom.publish()
 
     def _publish_transforms(self, hw: ValorEscherHWInterface) -> None:
         if hw.motion is not None:
@@ -246,15 +254,3 @@ def _measured(hw: ValorEscherHWInterface) -> Proprioceptor:
     """The newest measurement; a cycle is run only when there is one."""
     assert hw.measured is not None
     return hw.measured
-
-
-def _into(orientation: FloatArray, vector: FloatArray) -> tuple[float, float, float]:
-    """A vector (3,) of the outer frame in the frame that ``orientation`` turns: Odometry's twist is the child's."""
-    w, x, y, z = orientation.tolist()
-    a, b, c = vector.tolist()
-    tx, ty, tz = 2 * (z * b - y * c), 2 * (x * c - z * a), 2 * (y * a - x * b)
-    return (
-        a + w * tx - (y * tz - z * ty),
-        b + w * ty - (z * tx - x * tz),
-        c + w * tz - (x * ty - y * tx),
-    )

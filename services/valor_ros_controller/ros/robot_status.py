@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from valor.common.behaviors import BALANCING, FALLEN, Behavior
+from valor.valor_ros_controller.ros.node import LATCHED
 from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 TOPIC = "/flor/controller/robot_status"
 _HELD = frozenset(Behavior) - BALANCING - FALLEN
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RobotStatusPublisher:
     """OK: balances; WARN: held by its joints, or closed to commands; ERROR: fallen, or out of sight. Update thread."""
 
     def __init__(self, node: Node, interface: ValorEscherInterface) -> None:
-        self._publisher = node.create_publisher(DiagnosticStatus, TOPIC, _LATCHED)
+        self._publisher = node.create_publisher(DiagnosticStatus, TOPIC, LATCHED)
         self._interface = interface
         self._said: tuple[str, ...] = ()
 

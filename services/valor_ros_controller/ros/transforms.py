@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import MotionState
-from valor.common.rotation import heading
+from valor.common.rotation import Quaternion, Vector
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.kinematic_tree import KinematicTree
-from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
-
-Point = tuple[float, float, float]
+from valor.valor_ros_controller.ros.node import LATCHED
+from valor.valor_ros_controller.ros.prepared_message import PreparedPublisher, mark, stamp_mark
 
 ODOM = "odom"
 FOOTPRINT = "base_footprint"
@@ -27,24 +26,17 @@ FOOTPRINT = "base_footprint"
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
     """Products of quaternions (…, 4), (w, x, y, z)."""
-    w1, x1, y1, z1 = np.moveaxis(a, -1, 0)
-    w2, x2, y2, z2 = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
-            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
-            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
-            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
-        ],
-        axis=-1,
-    )
+    return np.stack(rotation.multiply(_columns(a), _columns(b)), axis=-1)
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Vectors (…, 3) turned by quaternions (…, 4)."""
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+    return np.stack(rotation.rotate(_columns(q), _columns(v)), axis=-1)
+
+
+def _columns(array: FloatArray) -> Any:
+    """What is done to four or three numbers, is done to so many arrays of them."""
+    return np.moveaxis(array, -1, 0)
 
 
 class LinkTransforms:
@@ -80,7 +72,7 @@ class LinkTransforms:
         if self._eccentric:  # the hinge's anchor stays where it is
             self.position = self._offset + rotate(self._fixed, self._anchor) - rotate(self.orientation, self._anchor)
 
-    def in_base(self, link: str, point: Point) -> Point:
+    def in_base(self, link: str, point: Vector) -> Vector:
         """A point fixed to a link, in the base's frame [m]."""
         while (i := self._number.get(link)) is not None:
             point = _moved(self.position[i].tolist(), self.orientation[i].tolist(), point)
@@ -88,16 +80,10 @@ class LinkTransforms:
         return point
 
 
-def _moved(position: list[float], orientation: list[float], point: Point) -> Point:
+def _moved(position: Sequence[float], orientation: Quaternion, point: Vector) -> Vector:
     """A point turned, then shifted. A few single points are quicker without NumPy."""
-    w, x, y, z = orientation
-    a, b, c = point
-    tx, ty, tz = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-    return (
-        position[0] + a + w * tx + y * tz - z * ty,
-        position[1] + b + w * ty + z * tx - x * tz,
-        position[2] + c + w * tz + x * ty - y * tx,
-    )
+    a, b, c = rotation.rotate(orientation, point)
+    return position[0] + a, position[1] + b, position[2] + c
 
 
 def _transform(parent: str, child: str, stamp: Time, numbers: Sequence[float]) -> TransformStamped:
@@ -129,7 +115,6 @@ class TransformPublisher:
             robot: its description.
             stamp: robot time, kept up to date by its owner.
         """
-        self._stamp = stamp
         self._links = LinkTransforms(tree, robot)
         soles = {frame.target: (frame.link, frame.position) for frame in tree.frames}
         self._soles = [soles[robot.tables.feet.left.sole], soles[robot.tables.feet.right.sole]]
@@ -141,12 +126,12 @@ class TransformPublisher:
             _transform(parent, child, stamp_mark(), [mark(7 * i + j) for j in range(7)])
             for i, (parent, child) in enumerate(edges)
         ]
-        self._message = PreparedMessage(TFMessage(transforms=marks), 7 * len(edges))
-        self._rows = self._message.values.reshape(-1, 7)
-        self._publisher = node.create_publisher(TFMessage, "/tf", 100)
+        self._moving = PreparedPublisher(
+            node, "/tf", TFMessage(transforms=marks), 7 * len(edges), stamp=stamp, queue=100
+        )
+        self._rows = self._moving.values.reshape(-1, 7)
 
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._static = node.create_publisher(TFMessage, "/tf_static", latched)
+        self._static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
         fixed = []
         if base != tree.base:  # links keep the names of the model's bodies; the base has both
             fixed.append(_transform(base, tree.base, Time(), _numbers((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))))
@@ -162,11 +147,10 @@ class TransformPublisher:
         position = motion.pelvis_position_in_odom.tolist()
         orientation = motion.pelvis_orientation_in_odom.tolist()
         left, right = (_moved(position, orientation, links.in_base(link, point)) for link, point in self._soles)
-        yaw = heading(orientation)
         middle = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), min(left[2], right[2]))
         rows[0] = _numbers(position, orientation)
-        rows[1] = _numbers(middle, (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)))
+        rows[1] = _numbers(middle, rotation.about_z(rotation.heading(orientation)))
         rows[2:, :3] = links.position
         rows[2:, 3:6] = links.orientation[:, 1:]
         rows[2:, 6] = links.orientation[:, 0]
-        self._publisher.publish(self._message.serialized(self._stamp))
+        self._moving.publish()

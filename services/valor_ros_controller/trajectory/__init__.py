@@ -7,5 +7,5 @@ within the joints' limits, and no trajectory begins with a jump. No input or out
 
 ::
 
-    errors ◄── splines ◄── waypoints ◄── execution        tolerances
+    errors, splines, waypoints, execution ◄── admission        tolerances
 """

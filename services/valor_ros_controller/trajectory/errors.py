@@ -19,6 +19,6 @@ class ErrorCode(IntEnum):
 class InvalidTrajectoryError(ValueError):
     """A trajectory that is not obeyed: its text names the joint, the value and the limit."""
 
-    def __init__(self, code: ErrorCode, text: str) -> None:
+    def __init__(self, text: str, code: ErrorCode = ErrorCode.INVALID_GOAL) -> None:
         super().__init__(text)
         self.code = code

@@ -1,28 +1,24 @@
-"""Splines between states, and whether they keep within limits."""
+"""Splines between states."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.robot.commanded_limits import CommandedLimits, Indices
-from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.robot.commanded_limits import Indices
 
-_SAMPLES = 33  # a segment is looked at in so many places when its limits are checked
-_CHUNK = 64  # segments at a time: bounds the memory of the check
+_SAMPLES = 33  # places in which a segment is looked at
+_CHUNK = 64  # segments at a time: bounds the memory
 
 
-def spline(
-    start: tuple[FloatArray, FloatArray, FloatArray],
-    end: tuple[FloatArray, FloatArray, FloatArray],
-    duration: FloatArray,
-    order: Indices,
-) -> FloatArray:
-    """Coefficients of the polynomials between pairs of states (position, velocity, acceleration).
+def spline(start: FloatArray, end: FloatArray, duration: FloatArray, order: Indices) -> FloatArray:
+    """Coefficients of the polynomials between pairs of states.
 
     Args:
-        start: (k, m) each.
-        end: (k, m) each.
+        start: (3, k, m) position, velocity and acceleration.
+        end: (3, k, m).
         duration: (k,) [s], positive.
         order: (k,) 1 linear, 3 cubic, 5 quintic; what is not met by the order is ignored.
 
@@ -58,52 +54,20 @@ def _powers(time: FloatArray) -> FloatArray:
     return np.stack([position, velocity, acceleration])
 
 
-def check_segments(
-    coefficients: FloatArray,
-    duration: FloatArray,
-    limits: CommandedLimits,
-    describe: str = "between points {0} and {1}",
-) -> tuple[FloatArray, FloatArray]:
-    """Whether splines keep within the limits of position and speed everywhere.
+def sampled(coefficients: FloatArray, duration: FloatArray) -> Iterator[tuple[int, FloatArray, FloatArray, FloatArray]]:
+    """Where splines lead, some segments at a time.
 
     Args:
         coefficients: (k, 6, m).
         duration: (k,) [s].
-        limits: of the m joints.
-        describe: where a segment is, for the error's text; takes its number and the next.
 
-    Returns:
-        (m,) greatest speed [1/s] and acceleration [1/s²] of each joint.
-
-    Raises:
-        InvalidTrajectoryError: they do not.
+    Yields:
+        The first segment's number, (c, s, m) positions, (c, m) greatest speeds and accelerations.
     """
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
-    most = np.zeros((2, len(limits.names)))
     for first in range(0, len(duration), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
         with np.errstate(all="ignore"):
-            powers = _powers(duration[first : first + _CHUNK, None] * fractions)
-            positions, *rates = powers @ coefficients[first : first + _CHUNK]  # (k, samples, m) each
+            positions, *rates = _powers(duration[chunk, None] * fractions) @ coefficients[chunk]
             speeds, accelerations = (np.abs(rate).max(axis=1) for rate in rates)
-        # Written so that NaN fails.
-        if not (fast := speeds <= limits.fastest).all():
-            segment, joint = np.argwhere(~fast)[0]
-            where, unit = describe.format(first + segment, first + segment + 1), limits.units[joint]
-            raise InvalidTrajectoryError(
-                ErrorCode.INVALID_GOAL,
-                f"{limits.names[joint]} would move at {speeds[segment, joint]:.3g} {unit}/s {where}; "
-                f"its limit is {limits.velocity[joint]:g} {unit}/s",
-            )
-        inside = (positions >= limits.lower - 1e-6) & (positions <= limits.upper + 1e-6)
-        if not inside.all():
-            segment, _, joint = np.argwhere(~inside)[0]
-            worst = positions[segment, :, joint]
-            value = worst.max() if worst.max() > limits.upper[joint] else worst.min()
-            where, unit = describe.format(first + segment, first + segment + 1), limits.units[joint]
-            raise InvalidTrajectoryError(
-                ErrorCode.INVALID_GOAL,
-                f"{limits.names[joint]} would reach {value:.4g} {unit} {where}; "
-                f"its limits are {limits.lower[joint]:g} to {limits.upper[joint]:g} {unit}",
-            )
-        most = np.maximum(most, [speeds.max(axis=0), accelerations.max(axis=0)])
-    return most[0], most[1]
+        yield first, positions, speeds, accelerations

@@ -31,7 +31,7 @@ KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 def motor(sequence: int) -> Motor:
     """A message that compresses badly, as real ones do."""
     values = np.random.default_rng(sequence).normal(size=(5, JOINTS))
-    return Motor(7, sequence, 3, np.full(JOINTS, 2, np.uint8), *values, "stand", 1)
+    return Motor(7, sequence, 3, np.full(JOINTS, 2, np.uint8), *values, "stand", 1)  # type: ignore[call-arg]
 
 
 def bags(instance: RunningInstance) -> list[Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -46,7 +47,7 @@ def test_a_bag_is_played_in_order_and_at_its_pace_but_not_into_a_running_system(
     bag.write(unknown, 1, 0, 0, b"\0\1\0\0\1")
     bag.close()
     domain = instance.settings.ros_domain_id
-    quiet = {"rate": 1.0, "topics": (), "check": lambda: None, "tell": lambda passed, messages: None}
+    quiet: dict[str, Any] = {"rate": 1.0, "topics": (), "check": lambda: None, "tell": lambda passed, messages: None}
     with pytest.raises(ValorError, match=f"ROS domain {domain} is a running system's"):
         bag_player.play(bag.path, instance.instance, domain=domain, **quiet)
 

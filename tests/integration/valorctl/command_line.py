@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -53,7 +54,7 @@ class Cli:
         assert status == 2 or err.startswith("valorctl: "), err
         return err
 
-    def status(self, instance: str = "default") -> dict[str, dict[str, object]]:
+    def status(self, instance: str = "default") -> dict[str, Any]:
         """What ``status --json`` prints, with the services by name."""
         content = look(Instance(instance, self.home)).as_json()
         return content | {"services": {service["name"]: service for service in content["services"]}}

@@ -19,5 +19,5 @@ def ctl(home: Path) -> Iterator[Cli]:
         for process in cli.started:
             process.kill()
             process.communicate()
-        for process in cli.processes():
-            process.kill()
+        for left in cli.processes():
+            left.kill()

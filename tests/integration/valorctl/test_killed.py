@@ -18,7 +18,7 @@ def test_killed_restarted_and_silent_processes_are_seen_as_such(ctl: Cli) -> Non
 
     def back() -> bool:
         service = ctl.status()["services"]["motion_manager"]
-        return service["state"] == "ready" and service["pid"] != before
+        return bool(service["state"] == "ready" and service["pid"] != before)
 
     wait_until(back, PATIENCE, "motion_manager is ready again")
     services = ctl.status()["services"]

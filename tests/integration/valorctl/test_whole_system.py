@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -39,7 +40,7 @@ def one_walks_at_a_time(ctl: Cli) -> None:
 
         def speed() -> float | None:
             state = states.latest()
-            return state and float(np.linalg.norm(state.message.pelvis_linear_velocity_in_odom))
+            return None if state is None else float(np.linalg.norm(state.message.pelvis_linear_velocity_in_odom))
 
         wait_until(lambda: (speed() or 0.0) > 0.15, TIMEOUT, "walking")
         assert "walked already: velocities come from valorctl" in ctl("walk", "--vx", "-0.2", status=1)
@@ -151,7 +152,7 @@ def fallen(ctl: Cli) -> None:
     """Why, since when, what to do, and where it is recorded."""
     ctl("push", "0", "300", "0")
 
-    def recorded() -> dict[str, object] | None:
+    def recorded() -> dict[str, Any] | None:
         seen = ctl.status()
         return seen if seen["fallen"] and seen["bag"] else None  # the recorder writes twice a second
 

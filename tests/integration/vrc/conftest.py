@@ -28,6 +28,14 @@ def ros(system: RunningInstance) -> Iterator[RosClient]:
     client.close()
 
 
+@pytest.fixture
+def manipulating(ros: RosClient) -> RosClient:
+    """A client before whom the arms are free."""
+    go(ros, "stand")
+    go(ros, "stand_manipulate")
+    return ros
+
+
 @pytest.fixture(scope="package")
 def node(system: RunningInstance) -> bifrost.Node:
     """A node in the system's Bifrost network."""

@@ -34,7 +34,7 @@ class NotInstalled:
             raise ImportError(f"{name} is not installed here")
 
 
-sys.meta_path.insert(0, NotInstalled())  # type: ignore[arg-type]
+sys.meta_path.insert(0, NotInstalled())
 
 import rclpy  # noqa: E402
 from builtin_interfaces.msg import Duration  # noqa: E402

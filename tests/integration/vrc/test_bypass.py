@@ -11,17 +11,11 @@ import pytest
 
 import bifrost
 from harness.instance import RunningInstance
-from harness.places import ROBOTS
 from harness.system import RosClient
 from harness.waiting import wait_until
-from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, go
+from tests.integration.vrc.vrc_system import HOME, PATIENCE, ROBOT, SUCCESSFUL, VRC, Topic, go
 from valor.common.messages import HandGoalStatus, MotionState, Rejection
 from valor.common.topics import HAND_GOAL_STATUS, MOTION_STATE, MOTOR, REJECTION, STATISTICS
-from valor.robot.description import RobotDescription
-
-ROBOT = RobotDescription.load(ROBOTS / "escher")
-HOME = ROBOT.tables.arm_presets["home"]["right"]
-SUCCESSFUL = 0
 
 
 @pytest.fixture

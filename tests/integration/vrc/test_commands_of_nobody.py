@@ -16,17 +16,14 @@ from vigir_footstep_planning_msgs.msg import StepPlan
 
 import bifrost
 from harness.instance import RunningInstance
-from harness.places import ROBOTS
 from harness.system import RosClient
 from harness.waiting import wait_until
-from tests.integration.vrc.vrc_system import PATIENCE, VRC, Topic, ask, go
+from tests.integration.vrc.vrc_system import HOME, PATIENCE, VRC, Topic, ask, go
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
 from valor.common.topics import MOTION_STATE
-from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
 
-HOME = RobotDescription.load(ROBOTS / "escher").tables.arm_presets["home"]["right"]
 WHY = "commands on ROS 2 are not obeyed: up with --ros-commands none"
 CONVERTER = "footstep_converter"
 
@@ -79,7 +76,7 @@ def test_whoever_commands_on_ros_is_refused_and_told_why(
     assert (told.successful, told.reason) == (False, WHY)
     for topic, message in (("/cmd_vel", Twist()), ("/flor/controller/soft_stop", Empty())):
         publish(unobeyed, topic, message)
-        wait_until(lambda t=topic: (t, WHY) in {(m.topic, m.reason) for m in rejections.messages}, PATIENCE, topic)
+        wait_until(lambda t=topic: (t, WHY) in {(m.topic, m.reason) for m in rejections.messages}, PATIENCE, topic)  # type: ignore[misc]
     publish(unobeyed, "/robot_controllers/footstep_controller/execute_step_plan", StepPlan())
     wait_until(lambda: f"plan refused: {WHY}" in system.log(CONVERTER), PATIENCE, "the plan's refusal")
 

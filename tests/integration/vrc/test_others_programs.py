@@ -102,13 +102,14 @@ def check(topic: str, message: Any, stamps: dict[str, int]) -> None:
         assert stamp >= stamps.get(topic, 0), f"{topic}: stamps go back"
         stamps[topic] = stamp
     if topic in ("/imu/data", "/odom", "/flor/state/pelvis_pose_world") or "force_torque" in topic:
-        assert header.frame_id, topic
+        assert header is not None and header.frame_id, topic
     if topic == "/joint_states":
         assert len(message.name) == len(message.position) == len(message.velocity) == len(message.effort) == 38
         assert all(map(math.isfinite, (*message.position, *message.velocity, *message.effort)))
     elif topic == "/imu/data":
         assert norm(message.orientation) == pytest.approx(1.0, abs=1e-6)
     elif topic == "/odom":
+        assert header is not None
         assert (header.frame_id, message.child_frame_id) == ("odom", "base_link")
         assert norm(message.pose.pose.orientation) == pytest.approx(1.0, abs=1e-6)
         assert all(message.pose.covariance.reshape(6, 6).diagonal() >= 0.0)

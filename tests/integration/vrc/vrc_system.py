@@ -11,10 +11,19 @@ from typing import Any
 import numpy as np
 
 from harness.instance import RunningInstance, fresh_instance
+from harness.places import ROBOTS
 from harness.system import RosClient
 from harness.waiting import wait_until
 from valor.common.messages import ModeStatus
+from valor.robot.description import RobotDescription
 
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+HOME = ROBOT.tables.arm_presets["home"]["right"]
+FORWARD = ROBOT.tables.arm_presets["forward"]["right"]
+SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED = 0, -1, -2, -4
+ACCEPTED, REJECTED, DUPLICATE, EXTERNAL_CHANGE = 1, 2, 16, 32
+NOT_READY, INVALID_MODE, INVALID_TRANSITION = 512, 1024, 2048
+STATUS_SUCCEEDED, STATUS_CANCELED, STATUS_ABORTED = 4, 5, 6
 VRC = "valor_ros_controller"
 PATIENCE = 60.0  # [s]
 STILL, MOTION = 50, 0.003  # joint states in which no joint has moved by more; noise alone makes 0.0015 [rad]
@@ -105,3 +114,26 @@ def ask(ros: RosClient, kind: Any, service: str, /, **fields: Any) -> Any:
         return ros._wait(ros._call(client.call_async, kind.Request(**fields)), PATIENCE, f"{service} to answer")
     finally:
         ros.destroy(ros.node.destroy_client, client)
+
+
+def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
+    """How far joints are from where they shall be [rad]."""
+    positions = ros.joint_positions()
+    return {name: abs(positions[name] - value) for name, value in target.items()}
+
+
+def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
+    """A goal of the right arm, under way."""
+    from builtin_interfaces.msg import Duration
+    from control_msgs.action import FollowJointTrajectory
+    from trajectory_msgs.msg import JointTrajectoryPoint
+
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = list(target)
+    point = JointTrajectoryPoint(positions=list(target.values()), time_from_start=Duration(sec=int(seconds)))
+    goal.trajectory.points = [point]
+    client = ros._trajectory["right_arm"]
+    assert client.wait_for_server(PATIENCE)
+    handle = ros._wait(ros._call(client.send_goal_async, goal), PATIENCE, "an answer to the goal")
+    assert handle.accepted
+    return handle

@@ -17,7 +17,8 @@ STATES = 5
 
 @pytest.fixture(params=range(STATES))
 def state(request: pytest.FixtureRequest, model: Model) -> RandomState:
-    return list(random_states(model, STATES, seed=1))[request.param]
+    state: RandomState = list(random_states(model, STATES, seed=1))[request.param]
+    return state
 
 
 def test_mass_matrix_and_bias_do_not_depend_on_place_and_linear_velocity(model: Model, state: RandomState) -> None:

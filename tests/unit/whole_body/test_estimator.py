@@ -61,8 +61,7 @@ def test_pushed_on_noisy_hardware_it_follows_the_truth(robot: RobotDescription, 
     loop.run(0.7)
     loop.plant.push(np.array((12.0, 8.0, 0.0)), 0.1)
     errors = run(loop, 1.0)
-    position = np.array(errors.position)
-    moved = position - position[0]
+    moved = np.array(errors.position) - errors.position[0]
     assert np.abs(moved).max() < 0.008  # [m], while the pelvis moves by 6 cm
     assert np.sqrt((np.array(errors.velocity) ** 2).mean(axis=0)).max() < 0.015  # [m/s]
     bias = robot.tables.actuators["hardware"].noise.orientation_bias

@@ -6,6 +6,7 @@ In one process, profile ``hardware``; what it can stand is in ``benchmarks/contr
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,7 +153,7 @@ def test_recovery_steps_bring_feet_side_by_side_and_end(leads: int) -> None:
     source = RecoverySteps(robot)
     soles = [SolePose(np.array((0.3, 0.25, 0.0)), np.eye(3)), SolePose(np.array((0.0, -0.1, 0.0)), np.eye(3))]
     source.lead(leads)
-    taken = []
+    taken: list[Any] = []
     while (steps := source.upcoming(soles)) and len(taken) < 10:
         source.began(steps[0])
         assert [step.foot for step in steps] == [(steps[0].foot + i) % 2 for i in range(len(steps))]

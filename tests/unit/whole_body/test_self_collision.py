@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,7 +22,7 @@ from valor.whole_body.tasks.table import motions
 from valor.whole_body.walking.footsteps import Step, level_pose
 from valor.whole_body.walking.swing import SolePose
 
-NOBODY: dict[str, dict[str, object]] = {"self_collision": {"pairs": []}}
+NOBODY: dict[str, Any] = {"self_collision": {"pairs": []}}
 ARM = {"l_shoulder_roll": -0.3, "l_shoulder_yaw": -1.5, "l_elbow_pitch": 0.3, "l_shoulder_pitch": 0.2}  # into the chest
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 

@@ -176,7 +176,7 @@ def test_torque_limits_bind_and_the_robot_still_stands(robot: RobotDescription) 
     free, weak = ClosedLoop(robot, "ideal"), ClosedLoop(with_effort_limit(robot, ankles, limit), "ideal")
     places = [robot.index[ankle] for ankle in ankles]
     torques: dict[ClosedLoop, float] = {free: 0.0, weak: 0.0}
-    statuses = {free: set(), weak: set()}
+    statuses: dict[ClosedLoop, set[int]] = {free: set(), weak: set()}
 
     def note(loop: ClosedLoop) -> None:
         torques[loop] = max(torques[loop], float(np.abs(loop.command.effort[places]).max()))

@@ -67,7 +67,8 @@ def rate(after: FloatArray, before: FloatArray, time: float) -> FloatArray:
 
 @pytest.fixture(params=range(4))
 def state(request: pytest.FixtureRequest, model: Model) -> RandomState:
-    return list(random_states(model, 4, seed=21))[request.param]
+    state: RandomState = list(random_states(model, 4, seed=21))[request.param]
+    return state
 
 
 @pytest.mark.parametrize("task", [task for task in TASKS if task.name in PLACES], ids=lambda task: task.name)
@@ -131,7 +132,7 @@ def period(
     """A period with random references; and (24,) where the swinging foot shall be."""
     turned = [ca.DM(rotation.from_rotation_vector(RNG.normal(scale=0.3, size=3))) for _ in range(2)]
     vectors = [ca.DM(RNG.normal(scale=0.1, size=3)) for _ in range(6)]
-    reference = Reference(*vectors[:5], ca.DM(RNG.normal(size=3)), ca.DM(0.5), *turned)
+    reference = Reference(*vectors[:5], ca.DM(RNG.normal(size=3)), ca.DM(0.5), *turned)  # type: ignore[call-arg]
     feet = Feet(ca.DM(dynamics.sole_position), ca.DM(dynamics.sole_rotation.reshape(6, 3)))
     law = DcmLaw(3.5, robot.read(Tuning).whole_body.dcm_gain, 1.0, 0.1, 0.01)
     swing = np.concatenate((RNG.normal(size=3), np.eye(3).ravel(), RNG.normal(size=12)))

@@ -6,17 +6,20 @@ Three experiments look at the same motions: the joints' signals, the hand's pose
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bifrost
 from valor.analysis.timeline import Motion, Timeline
 from valor.common.behaviors import ControlMode
-from valor.common.errors import ValorError
 from valor.common.messages import Proprioceptor
 from valor.common.resources import robot_folder
 from valor.common.topics import PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 from valor.valorctl import arm_motion, control_mode
-from valor.valorctl.experiments.experiment import Run
+from valor.valorctl.node import hear, join
+
+if TYPE_CHECKING:
+    from valor.valorctl.experiments.experiment import Run
 
 MODE = ControlMode.STAND_MANIPULATE  # nothing holds the pelvis: the thesis' behavior
 SPEED = 0.4  # fraction of the joint speed limits
@@ -55,12 +58,9 @@ def record(
     motions: list[Motion] = []
     with run.system(bag=bag, robot=robot, actuators=actuators) as settings:
         description = RobotDescription.load(settings.robot)
-        network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
-        with bifrost.Node("experiment", network=network) as node:
+        with join(run.instance, "experiment") as node:
             devices = _Devices(description, PROPRIOCEPTOR.subscriber(node), run)
-            change = control_mode.change(run.instance, MODE, run.interruption.check)
-            if not change.reached:
-                raise ValorError(change.describe())
+            control_mode.enter(run.instance, MODE, run.interruption.check)
             yaw, *others = description.tables.groups[NECK]
             for look in LOOKS[-1:] if quick else LOOKS:
                 target = {yaw: look, **dict.fromkeys(others, 0.0)}
@@ -99,7 +99,4 @@ class _Devices:
 
     def _newest(self) -> Proprioceptor:
         self._measured.latest()
-        received = self._measured.receive(timeout=SILENCE)
-        if received is None:
-            raise ValorError(f"comms_manager is silent: no {PROPRIOCEPTOR.name} within {SILENCE:g} s")
-        return received.message
+        return hear(PROPRIOCEPTOR, self._measured, SILENCE)

@@ -28,6 +28,7 @@ from valor.common.instance import Recording
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 from valor.valorctl.experiments.experiment import Run
+from valor.valorctl.node import join
 
 if TYPE_CHECKING:
     from valor.valorctl.ros_client import RosClient
@@ -119,11 +120,7 @@ def _record(run: Run, bag: Path, profile: str) -> RobotDescription:
     rng = np.random.default_rng(run.options.seed)
     with run.system(bag=bag, actuators=profile, recording=Recording(only=TOPICS)) as settings:
         robot = RobotDescription.load(settings.robot)
-        network = bifrost.Network.load(run.instance.network_file, run.instance.keys)
-        with (
-            bifrost.Node("experiment", network=network) as node,
-            RosClient(run.instance, run.interruption.check) as ros,
-        ):
+        with join(run.instance, "experiment") as node, RosClient(run.instance, run.interruption.check) as ros:
             time_passes = _RobotTime(node, ros)
             told: list[str] = []
             ros.subscribe(ControlModeStatus, MODE_REPORT, lambda report: told.append(report.current_control_mode), 10)

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-import bifrost
 from valor.analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor.analysis.results import Measure, Table
-from valor.common.errors import ValorError
 from valor.common.topics import CONTROL_MODE, PROPRIOCEPTOR, STATISTICS, Topic
 from valor.valorctl.console import bar
 from valor.valorctl.experiments.experiment import Run
+from valor.valorctl.node import hear, join
 from valor.valorctl.supervision import Supervisor
 
 SECONDS, QUICK = 300.0, 3.0
@@ -27,7 +26,7 @@ def run(run: Run) -> None:
     seconds = QUICK if run.options.quick else SECONDS
     bag = run.out / "process_stats.mcap"
     behaviors: list[tuple[float, str]] = []
-    with run.system(bag=bag), bifrost.Node("experiment", network=_network(run)) as node:
+    with run.system(bag=bag), join(run.instance, "experiment") as node:
         reports = CONTROL_MODE.subscriber(node, queue=1000)
         sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
         began, robot_time = time.monotonic(), _robot_time(run)
@@ -84,15 +83,8 @@ def run(run: Run) -> None:
 
 def _hear(run: Run, topic: Topic[Any]) -> Any:
     """The next message of a topic."""
-    with bifrost.Node("experiment", network=_network(run)) as node:
-        received = topic.subscriber(node).receive(timeout=PATIENCE)
-    if received is None:
-        raise ValorError(f"{topic.owner} is silent: no {topic.name} within {PATIENCE:g} s")
-    return received.message
-
-
-def _network(run: Run) -> bifrost.Network:
-    return bifrost.Network.load(run.instance.network_file, run.instance.keys)
+    with join(run.instance, "experiment") as node:
+        return hear(topic, topic.subscriber(node), PATIENCE)
 
 
 def _robot_time(run: Run) -> float:

@@ -80,9 +80,9 @@ def _at_a_glance(summary: BagSummary) -> str:
 @bag.command()
 def snap(json: Json = False) -> None:
     """Save the last seconds, of a recorder that holds them (up --bag-ring)."""
-    from valor.valorctl import bag_snap, presence
+    from valor.valorctl import presence, requests
 
-    reply = bag_snap.snap(presence.require_running())
+    reply = requests.snap(presence.require_running())
     if json:
         say_json({"file": reply.path, "messages": reply.messages, "seconds": reply.seconds})
     else:

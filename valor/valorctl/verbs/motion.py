@@ -225,11 +225,10 @@ def push(
     z: Annotated[float, typer.Argument(help="Up [N·s].")],
 ) -> None:
     """Push the simulated robot's chest for 0.1 s."""
-    from valor.valorctl import presence
-    from valor.valorctl import push as pushing
+    from valor.valorctl import presence, requests
 
     instance = presence.require_running()
-    reply = pushing.push(instance, (x, y, z))
+    reply = requests.push(instance, (x, y, z))
     say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
 
 

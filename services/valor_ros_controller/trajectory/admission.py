@@ -1,0 +1,258 @@
+"""Which trajectories are obeyed: way-points as they come are checked, and set on their way from the set-point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from valor.common.arrays import FloatArray
+from valor.robot.commanded_limits import CommandedLimits, Indices
+from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
+from valor.valor_ros_controller.trajectory.execution import Trajectory
+from valor.valor_ros_controller.trajectory.splines import sampled, spline
+from valor.valor_ros_controller.trajectory.waypoints import Point, Waypoints
+
+START_TOLERANCE = 0.1
+"""How far a point at time 0 may be from the present set-point [rad or m]: it tells where the sender thinks we are."""
+LONGEST_WAIT = 600.0
+"""A trajectory may not begin later than this [s]: a later one is stamped with another clock."""
+_END_VELOCITY = 1e-6  # [1/s]
+
+
+def _range(limits: CommandedLimits, joint: int) -> str:
+    return f"its limits are {limits.lower[joint]:g} to {limits.upper[joint]:g} {limits.units[joint]}"
+
+
+def _pace(limits: CommandedLimits, joint: int) -> str:
+    return f"its limit is {limits.velocity[joint]:g} {limits.units[joint]}/s"
+
+
+# --- way-points by themselves -----------------------------------------------------------------------------------------
+
+
+def check_waypoints(
+    names: Sequence[str],
+    points: Sequence[Point],
+    limits: CommandedLimits,
+    *,
+    allow_partial: bool = False,
+) -> Waypoints:
+    """Check a trajectory as it came and lay splines through it.
+
+    Raises:
+        InvalidTrajectoryError: with the code and the text that the client gets.
+    """
+    columns = _columns(names, limits, allow_partial)
+    if not points:
+        raise InvalidTrajectoryError("the trajectory has no points")
+    states, order = _states(names, points)
+    times = _times(points)
+    limits = limits.select(columns)
+    _check_states(states, limits)
+    durations = np.diff(times)
+    coefficients = spline(states[:, :-1], states[:, 1:], durations, np.minimum(order[:-1], order[1:]))
+    speed, acceleration = _check_segments(coefficients, durations, limits)
+    if (order == 1).any():
+        acceleration = np.full(len(columns), np.inf)
+    return Waypoints(columns, times, states, order, coefficients, speed, acceleration)
+
+
+def _columns(names: Sequence[str], limits: CommandedLimits, allow_partial: bool) -> Indices:
+    """Where the trajectory's joints stand in the controller's order."""
+    place = {name: i for i, name in enumerate(limits.names)}
+    if not names:
+        text = f"no joint names; expected {', '.join(limits.names)}"
+    elif unknown := [name for name in names if name not in place]:
+        text = f"unknown joint {unknown[0]!r}; the controller's joints are {', '.join(limits.names)}"
+    elif twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        text = f"joint {twice[0]!r} is named twice"
+    elif not allow_partial and (missing := [name for name in limits.names if name not in names]):
+        text = f"joints missing: {', '.join(missing)} (allow_partial_joints_goal is false)"
+    else:
+        return np.array([place[name] for name in names], dtype=np.intp)
+    raise InvalidTrajectoryError(text, ErrorCode.INVALID_JOINTS)
+
+
+def _states(names: Sequence[str], points: Sequence[Point]) -> tuple[FloatArray, Indices]:
+    """The points' ``states`` and ``order``, as of ``Waypoints``."""
+    m = len(names)
+    states, order = np.zeros((3, len(points), m)), np.ones(len(points), dtype=np.intp)
+    for i, point in enumerate(points):
+        if len(point.effort):
+            raise InvalidTrajectoryError(f"point {i} carries effort, which this controller does not command")
+        for field, target in zip(("positions", "velocities", "accelerations"), states[:, i], strict=True):
+            values = getattr(point, field)
+            if len(values) == 0 and field != "positions":
+                continue
+            if len(values) != m:
+                raise InvalidTrajectoryError(f"point {i} has {len(values)} {field}; expected {m}, one a joint")
+            target[:] = values
+            if not (finite := np.isfinite(target)).all():
+                joint = int(np.argmin(finite))
+                raise InvalidTrajectoryError(
+                    f"point {i}: {field} of {names[joint]} is {target[joint]}; expected a finite number"
+                )
+        if len(point.velocities):
+            order[i] = 5 if len(point.accelerations) else 3
+    return states, order
+
+
+def _times(points: Sequence[Point]) -> FloatArray:
+    """(k,) when the points are reached, one after the other [s]."""
+    times = np.array([point.time_from_start for point in points])
+    if times[0] < 0:
+        raise InvalidTrajectoryError(f"point 0 has time_from_start {times[0]:g} s; expected 0 or more")
+    later = np.diff(times) > 0
+    if not later.all():
+        i = int(np.argmin(later))
+        raise InvalidTrajectoryError(
+            f"time_from_start of point {i + 1} ({times[i + 1]:g} s) is not after that of point {i} ({times[i]:g} s)"
+        )
+    return times
+
+
+def _check_states(states: FloatArray, limits: CommandedLimits) -> None:
+    """Whether the points keep within the limits, and the last of them rests."""
+    positions, velocities, _ = states
+    for values, outside, per, limit in (
+        (positions, positions != limits.position_within(positions), "", _range),
+        (velocities, np.abs(velocities) > limits.fastest, "/s", _pace),
+    ):
+        if outside.any():
+            i, joint = np.argwhere(outside)[0]
+            value = f"{values[i, joint]:.4g} {limits.units[joint]}{per}"
+            raise InvalidTrajectoryError(f"point {i}: {limits.names[joint]} at {value}; {limit(limits, joint)}")
+    if (np.abs(velocities[-1]) > _END_VELOCITY).any():
+        joint = int(np.argmax(np.abs(velocities[-1])))
+        value = f"{velocities[-1, joint]:.4g} {limits.units[joint]}/s"
+        raise InvalidTrajectoryError(f"{limits.names[joint]} has {value} at the last point; expected 0")
+
+
+def _check_segments(
+    coefficients: FloatArray,
+    duration: FloatArray,
+    limits: CommandedLimits,
+    where: str = "between points {0} and {1}",
+) -> tuple[FloatArray, FloatArray]:
+    """Whether splines keep within the limits of position and speed everywhere.
+
+    Args:
+        coefficients: (k, 6, m).
+        duration: (k,) [s].
+        limits: of the m joints.
+        where: for the error's text, with places for a segment's number and the next.
+
+    Returns:
+        (m,) greatest speed [1/s] and acceleration [1/s²] of each joint.
+
+    Raises:
+        InvalidTrajectoryError: they do not.
+    """
+    most = np.zeros((2, len(limits.names)))
+    for first, positions, speeds, accelerations in sampled(coefficients, duration):
+        # Written so that NaN fails.
+        if not (slow := speeds <= limits.fastest).all():
+            segment, joint = np.argwhere(~slow)[0]
+            value = f"move at {speeds[segment, joint]:.3g} {limits.units[joint]}/s"
+            limit = _pace(limits, joint)
+        elif not (inside := (positions >= limits.lower - 1e-6) & (positions <= limits.upper + 1e-6)).all():
+            segment, _, joint = np.argwhere(~inside)[0]
+            reached = positions[segment, :, joint]
+            farthest = reached.max() if reached.max() > limits.upper[joint] else reached.min()
+            value = f"reach {farthest:.4g} {limits.units[joint]}"
+            limit = _range(limits, joint)
+        else:
+            most = np.maximum(most, [speeds.max(axis=0), accelerations.max(axis=0)])
+            continue
+        place = where.format(first + segment, first + segment + 1)
+        raise InvalidTrajectoryError(f"{limits.names[joint]} would {value} {place}; {limit}")
+    return most[0], most[1]
+
+
+# --- and from where the robot is --------------------------------------------------------------------------------------
+
+
+def begin(
+    waypoints: Waypoints,
+    start: int,
+    now: int,
+    state: FloatArray,
+    limits: CommandedLimits,
+    *,
+    error: FloatArray | None = None,
+) -> Trajectory:
+    """Go from the present set-point to the first point that is still to come, and on from there.
+
+    Args:
+        waypoints: checked.
+        start: robot time at which the trajectory begins [ns]; 0: now.
+        now: robot time [ns].
+        state: (3, n) position, velocity and acceleration commanded now; joints without way-points stay there.
+        limits: of the controller's joints.
+        error: (n,) to within which what has these limits shall follow; None: to within any.
+
+    Raises:
+        InvalidTrajectoryError: it ended in the past, begins too far away for the speed limits or with a jump, or
+            is too jerky for its speed.
+    """
+    columns = waypoints.columns
+    present, moving = state[:, columns], limits.select(columns)
+    times = (start or now) + np.rint(waypoints.times * 1e9).astype(np.int64)
+    first = _next_point(times, start, now)
+    if not start and first == 1:
+        _check_start(waypoints.states[0, 0], present[0], moving)
+    duration = np.array([(int(times[first]) - now) * 1e-9])
+    following = slice(first, first + 1)
+    opening = spline(present[:, None], waypoints.states[:, following], duration, waypoints.order[following])
+    speed, acceleration = _check_segments(opening, duration, moving, f"between now and point {first}")
+    if error is not None:
+        speed, acceleration = np.maximum(speed, waypoints.speed), np.maximum(acceleration, waypoints.acceleration)
+        _check_jumps(speed, acceleration, moving, error[columns])
+    coefficients = np.zeros((len(times) - first, 6, len(limits.names)))
+    coefficients[:, 0] = state[0]
+    coefficients[:, :, columns] = np.concatenate((opening, waypoints.coefficients[first:]))
+    final = state[0].copy()
+    final[columns] = waypoints.states[0, -1]
+    return Trajectory([now, *times[first:].tolist()], coefficients, final)
+
+
+def _next_point(times: Indices, start: int, now: int) -> int:
+    """The first point to be reached after now, of a trajectory that begins when it should."""
+    if start - now > LONGEST_WAIT * 1e9:
+        raise InvalidTrajectoryError(
+            f"begins {(start - now) * 1e-9:.4g} s after now ({now * 1e-9:.3f} s of robot time); expected at most "
+            f"{LONGEST_WAIT:g} s. Is the header stamped with another clock?"
+        )
+    first = int(np.searchsorted(times, now, side="right"))
+    if first < len(times):
+        return first
+    if start:
+        late = (now - int(times[-1])) * 1e-9
+        raise InvalidTrajectoryError(f"the trajectory ended {late:.3f} s ago", ErrorCode.OLD_HEADER_TIMESTAMP)
+    raise InvalidTrajectoryError("no time to reach the only point")
+
+
+def _check_start(point: FloatArray, position: FloatArray, limits: CommandedLimits) -> None:
+    """A point (m,) at time 0 says where the sender thinks that the robot is."""
+    distance = np.abs(point - position)
+    if (distance > START_TOLERANCE).any():
+        joint = int(np.argmax(distance))
+        raise InvalidTrajectoryError(
+            f"{limits.names[joint]} is {distance[joint]:.3g} {limits.units[joint]} away from the first point, whose "
+            f"time_from_start is 0; expected at most {START_TOLERANCE:g}"
+        )
+
+
+def _check_jumps(speed: FloatArray, acceleration: FloatArray, limits: CommandedLimits, error: FloatArray) -> None:
+    """Whether a trajectory with these greatest speeds and accelerations (m,) can be followed to within (m,) errors."""
+    highest = limits.jumping_velocity(error)
+    jerky = (acceleration > limits.acceleration) & (speed > highest)
+    if jerky.any():
+        joint = int(np.argmax(jerky))
+        unit = limits.units[joint]
+        raise InvalidTrajectoryError(
+            f"{limits.names[joint]} would move at {speed[joint]:.3g} {unit}/s with jumps of its velocity, or with more "
+            f"than {limits.acceleration[joint]:g} {unit}/s²; its limit is then {highest[joint]:.3g} {unit}/s, so that "
+            f"the path tolerance of {error[joint]:g} {unit} can be kept"
+        )
