@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from valor.robot_setup import model_xml, robot_yaml
 from valor.robot_setup.drives import Drive, drives, inertias, tune
 from valor.robot_setup.geometry import Sole, cloud, sole
 from valor.robot_setup.posture import SIDES, Chain, Poser, Stance
+from valor.robot_setup.questions import Ask, Question, Tell, guess, silent
 from valor.robot_setup.skeleton import Skeleton, skeleton
 from valor.robot_setup.source import Source
 
@@ -26,27 +29,85 @@ PRESETS = {
     "fold": (0.35, 0.15, -0.35),
 }
 GRAVITY = 9.81
+GENERIC = ("model", "robot", "scene", "urdf", "mjcf")  # names of files that say nothing of the robot
+Presets = dict[str, dict[str, dict[str, float]]]  # preset, side, joint → angle [rad]
 
 
-def new_robot(model: Path, folder: Path, name: str) -> Skeleton:
-    """Write ``model.xml``, ``robot.yaml`` and meshes into a folder.
+@dataclass
+class Study:
+    """A robot as it was found in its model, and all that was solved for it; nothing is written yet."""
+
+    content: robot_yaml.Content
+    parts: model_xml.Parts
+
+    def write(self, folder: Path) -> None:
+        """Write ``model.xml``, ``robot.yaml`` and meshes into a folder that there is."""
+        model_xml.write(self.content.robot, self.parts, self.content.name, folder)
+        (folder / "robot.yaml").write_text(robot_yaml.text(self.content))
+
+
+def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = silent) -> Study:
+    """Find out all that a robot's folder says.
+
+    Args:
+        model: MJCF or URDF.
+        name: of the robot; None: asked for.
+        ask: for what cannot be known.
+        tell: what is being done.
 
     Raises:
         ConfigurationError: the model cannot be read, is no humanoid with six joints a leg, or cannot stand.
     """
-    robot = skeleton(Source(model))
+    tell(f"reading {model.name}")
+    robot = skeleton(Source(model), ask)
+    name = name or ask(Question("name of the robot", _usual_name(model)))
+    tell("measuring soles, hands and shapes")
     soles = {side: _sole(robot, side) for side in SIDES}
     palms = {side: _palm(robot, side) for side in robot.arms}
     parts = model_xml.fit(robot, soles, palms)
     mass = float(sum(robot.source.mj.body_mass[body] for body in robot.edges))
-    leg = _leg_length(robot)
-    found = drives(robot, leg, mass * GRAVITY)
+    found = drives(robot, _leg_length(robot), mass * GRAVITY)
     limits = {robot.joint_name(j): (d.lower, d.upper) for j, d in found.items()}
     mj = _compiled(robot, parts, name, found)
     poser = Poser(mj, limits)
     poser.middle = {side: (soles[side].heel + soles[side].toe) / 2 for side in SIDES}
-    chains = {side: Chain(tuple(map(robot.joint_name, robot.legs[side].joints)), f"{side[0]}_sole") for side in SIDES}
-    half_width = max(each.half_width for each in soles.values())
+    tell("having it stand")
+    stance, presets = _postures(robot, poser, limits, max(each.half_width for each in soles.values()))
+    parts.excluded = _overlapping(poser, stance.angles)
+    presets = _free(poser, presets, stance.angles, set(parts.excluded)) if presets else {}
+    tell("keeping limbs apart")
+    pairs = _pairs(robot, poser, parts, stance, presets)
+    parts.step = 0.001 if stance.leg_length > 0.4 else 0.0005
+    poser.put(stance.angles)
+    mujoco.mj_forward(mj, poser.data)
+    tune(found, inertias(robot, mj, poser.data), mass * GRAVITY * stance.com_height, parts.step)
+    content = robot_yaml.Content(name, robot, soles, found, stance, mass, presets, pairs, parts.step)
+    return Study(content, parts)
+
+
+def new_robot(model: Path, folder: Path, name: str) -> Skeleton:
+    """Write a robot's folder out of its model, and ask nobody.
+
+    Raises:
+        ConfigurationError: as ``study``.
+    """
+    found = study(model, name)
+    folder.mkdir(parents=True, exist_ok=True)
+    found.write(folder)
+    return found.content.robot
+
+
+def _usual_name(model: Path) -> str:
+    """The file's; its folder's where that says nothing."""
+    told = model.stem if model.stem not in GENERIC else model.resolve().parent.name
+    return re.sub(r"[^a-z0-9]+", "_", told.lower()).strip("_") or "robot"
+
+
+def _postures(
+    robot: Skeleton, poser: Poser, limits: dict[str, tuple[float, float]], half_width: float
+) -> tuple[Stance, Presets]:
+    """How it stands, and its arms' presets."""
+    legs = {side: Chain(tuple(map(robot.joint_name, robot.legs[side].joints)), f"{side[0]}_sole") for side in SIDES}
     arms = {
         side: Chain(tuple(map(robot.joint_name, limb.joints)), f"{side[0]}_gripper")
         for side, limb in robot.arms.items()
@@ -55,22 +116,10 @@ def new_robot(model: Path, folder: Path, name: str) -> Skeleton:
     presets = {
         preset: {side: poser.reach(arm, _outward(way, side), rest) for side, arm in arms.items()}
         for preset, way in PRESETS.items()
+        if arms
     }
-    home = {name: angle for side in presets["home"].values() for name, angle in side.items()} if arms else {}
-    stance = poser.stand(chains, half_width, rest | home)
-    parts.excluded = _overlapping(poser, stance.angles)
-    presets = _free(poser, presets, stance.angles, set(parts.excluded)) if arms else {}
-    pairs = _pairs(robot, poser, parts, stance, presets)
-    step = 0.001 if stance.leg_length > 0.4 else 0.0005
-    parts.step = step
-    poser.put(stance.angles)
-    mujoco.mj_forward(mj, poser.data)
-    tune(found, inertias(robot, mj, poser.data), mass * GRAVITY * stance.com_height, step)
-    folder.mkdir(parents=True, exist_ok=True)
-    model_xml.write(robot, parts, name, folder)
-    content = robot_yaml.Content(name, robot, soles, found, stance, mass, presets, pairs, step)
-    (folder / "robot.yaml").write_text(robot_yaml.text(content))
-    return robot
+    home = {name: angle for side in presets.get("home", {}).values() for name, angle in side.items()}
+    return poser.stand(legs, half_width, rest | home), presets
 
 
 def _sole(robot: Skeleton, side: str) -> Sole:
@@ -140,10 +189,10 @@ def _overlapping(poser: Poser, legs: dict[str, float]) -> list[tuple[str, str]]:
 
 def _free(
     poser: Poser,
-    presets: dict[str, dict[str, dict[str, float]]],
+    presets: Presets,
     standing: dict[str, float],
     excluded: set[tuple[str, str]],
-) -> dict[str, dict[str, dict[str, float]]]:
+) -> Presets:
     """Presets as far from home as they go without touching, both arms at once."""
     home, kept = presets["home"], {}
     for preset, sides in presets.items():
@@ -167,7 +216,7 @@ def _pairs(
     poser: Poser,
     parts: model_xml.Parts,
     stance: Stance,
-    presets: dict[str, dict[str, dict[str, float]]],
+    presets: Presets,
 ) -> list[tuple[str, str]]:
     """What shall not touch: legs each other, the outer arms the trunk, the thighs and each other."""
     named = {body: robot.name(body) for body in parts.capsules}

@@ -37,6 +37,7 @@ class Stance:
         hip_height: likewise, in this posture [m].
         com_height: over the soles [m].
         width: between the soles' origins [m].
+        knees: of the left and the right leg.
     """
 
     angles: dict[str, float]
@@ -45,6 +46,7 @@ class Stance:
     hip_height: float
     com_height: float
     width: float
+    knees: tuple[str, str]
 
 
 class Poser:
@@ -150,6 +152,7 @@ class Poser:
             float(np.mean([self._hip_height(pitch[side]) for side in SIDES])),
             float(self.data.subtree_com[1][2] + solution.x[-2]),
             2 * apart,
+            (knees["left"][0], knees["right"][0]),
         )
 
     middle: dict[str, float]

@@ -3,12 +3,14 @@
 Bodies that no driven joint parts are one link. The feet are the two leaves of the tree of links that reach lowest; the
 pelvis is in the middle of the way between them, whichever link the model's root is; the chest is where the way up from
 the pelvis branches; of what hangs from it, what has a twin on the other side is an arm, and what stands in the middle
-plane is the neck. Names are looked at for the two sides only where geometry does not say.
+plane is the neck. Names are looked at for the two sides only: they say which is left where the feet do not, and where
+they contradict the feet somebody is asked.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -17,10 +19,14 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.robot_setup.questions import Ask, Question, guess
+from valor.robot_setup.sides import feet_are_right, said_left
 from valor.robot_setup.source import Source
 
+GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm", "neck", "left_hand", "right_hand")
 LEG_JOINTS = 6
 ARM_JOINTS = (3, 7)  # fewest, and most: what lies beyond is the hand's
+_CLEAR = 0.05  # of a foot's length, from its ankle to its middle: then it says where forward is
 _MIDDLE = 0.15  # of the feet's distance: a link that is nearer to the middle plane stands in it
 
 
@@ -86,18 +92,22 @@ class Skeleton:
         return str(self.source.mj.joint(joint).name)
 
 
-def skeleton(source: Source) -> Skeleton:
+def skeleton(source: Source, ask: Ask = guess) -> Skeleton:
     """Find the roles.
+
+    Args:
+        source: the model.
+        ask: for what cannot be seen.
 
     Raises:
         ConfigurationError: the model is no humanoid with six driven joints a leg, as far as can be seen.
     """
-    return _Finder(source).find()
+    return _Finder(source, ask).find()
 
 
 class _Finder:
-    def __init__(self, source: Source) -> None:
-        self.source, self.mj, self.data = source, source.mj, source.data
+    def __init__(self, source: Source, ask: Ask) -> None:
+        self.source, self.mj, self.data, self.ask = source, source.mj, source.data, ask
         self.root = self._root()
         self.bodies = [b for b in range(1, self.mj.nbody) if self.mj.body_rootid[b] == self.mj.body_rootid[self.root]]
         self.driven, self.passive = self._driven()
@@ -121,15 +131,9 @@ class _Finder:
         """Hinges that an actuator acts on, all where there are no actuators; and the joints that none does."""
         mj = self.mj
         mine = set(self.bodies)
-        hinges = [
-            j for j in range(mj.njnt) if int(mj.jnt_bodyid[j]) in mine and mj.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE
-        ]
-        others = [
-            j
-            for j in range(mj.njnt)
-            if int(mj.jnt_bodyid[j]) in mine
-            and mj.jnt_type[j] in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)
-        ]
+        joints = [j for j in range(mj.njnt) if int(mj.jnt_bodyid[j]) in mine]
+        hinges = [j for j in joints if mj.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+        others = [j for j in joints if mj.jnt_type[j] in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)]
         acted = {
             int(mj.actuator_trnid[a, 0])
             for a in range(mj.nu)
@@ -144,6 +148,10 @@ class _Finder:
             if mj.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and mj.eq_obj2id[e] >= 0
         }
         driven = {j for j in hinges if (j in acted or not acted) and j not in follows}
+        if idle := [mj.joint(j).name for j in hinges if j not in driven and j not in follows]:
+            text = f"nothing drives {', '.join(idle)}: weld them, or give them servos"
+            if self.ask(Question(text, "weld", ("weld", "servo"))) == "servo":
+                driven |= {j for j in hinges if j not in follows}
         return driven, [j for j in (*hinges, *others) if j not in driven]
 
     def _edges(self) -> dict[int, list[Edge]]:
@@ -179,8 +187,7 @@ class _Finder:
         """Of a link: (link, joints on the way, body there)."""
         return [
             (self.link[edge.to], edge.joints, edge.to)
-            for body in self.bodies
-            if self.link[body] == link
+            for body in self.members(link)
             for edge in self.edges[body]
             if edge.joints
         ]
@@ -205,9 +212,7 @@ class _Finder:
     def lowest(self, link: int) -> float:
         """Height of the lowest point of a link [m]."""
         heights = []
-        for body in self.bodies:
-            if self.link[body] != link:
-                continue
+        for body in self.members(link):
             heights.append(float(self.data.xipos[body][2]))
             first, count = self.mj.body_geomadr[body], self.mj.body_geomnum[body]
             for geom in range(first, first + count):
@@ -216,19 +221,13 @@ class _Finder:
                 heights.append(float((self.data.geom_xpos[geom] + rotation @ centre)[2] - np.abs(rotation[2]) @ half))
         return min(heights)
 
-    def centre(self, link: int) -> FloatArray:
-        """(3,) centre of mass of a link, as drawn [m]."""
-        members = [b for b in self.bodies if self.link[b] == link]
-        masses = self.mj.body_mass[members] + 1e-9
-        centre: FloatArray = masses @ self.data.xipos[members] / masses.sum()
-        return centre
-
     def find(self) -> Skeleton:
         feet, pelvis = self._feet()
         pelvis_body = self._main(pelvis)
         ways = {foot: self.way(pelvis, foot) for foot in feet}
         hips = [self.data.xanchor[next(j for _, joints in ways[foot] for j in joints)] for foot in feet]
-        axes = self._axes(feet, hips)
+        said = [said_left(self.mj.joint(j).name for _, joints in ways[foot] for j in joints) for foot in feet]
+        axes = self._axes(feet, hips, said)
         if float((hips[0] - hips[1]) @ axes[:, 1]) < 0:
             feet.reverse()
         legs = {side: self._limb(ways[foot], foot) for side, foot in zip(("left", "right"), feet, strict=True)}
@@ -280,7 +279,7 @@ class _Finder:
         """A link's heaviest body."""
         return max((b for b in self.bodies if self.link[b] == link), key=lambda b: float(self.mj.body_mass[b]))
 
-    def _axes(self, feet: list[int], hips: list[FloatArray]) -> FloatArray:
+    def _axes(self, feet: list[int], hips: list[FloatArray], said: list[int]) -> FloatArray:
         """(3, 3) forward, left, up. The lateral axis goes through the hips; soles reach farther forward than back."""
         lateral = hips[0] - hips[1]
         lateral[2] = 0.0
@@ -290,16 +289,18 @@ class _Finder:
         # The axis of the world that is nearest: models are drawn along x or y, and hips may lie a little beside them.
         nearest = np.zeros(3)
         nearest[int(np.argmax(np.abs(forward)))] = 1.0
-        reach = 0.0
+        reach = length = 0.0
         for foot in feet:
             points = self._extent(foot) @ nearest
-            ankle = (
-                float(self.data.xanchor[self.way(foot, self.link[self.root])[1][1][0]] @ nearest)
-                if len(self.way(foot, self.link[self.root])) > 1
-                else 0.0
-            )
+            onward = self.way(foot, self.link[self.root])
+            ankle = float(self.data.xanchor[onward[1][1][0]] @ nearest) if len(onward) > 1 else 0.0
             reach += float(points.max() + points.min()) / 2 - ankle
+            length += float(np.ptp(points))
         forward = nearest * (1.0 if reach > -1e-3 else -1.0)
+        across = float(np.cross(up, forward) @ (hips[0] - hips[1]))
+        if said[0] * said[1] < 0 and said[0] * across < 0:
+            clear = abs(reach) > _CLEAR * length
+            forward = forward if clear and feet_are_right(self.source, self.ask) else -forward
         return np.stack([forward, np.cross(up, forward), up], axis=1)
 
     def _extent(self, link: int) -> FloatArray:
@@ -360,11 +361,21 @@ class _Finder:
             elif abs(lateral) <= _MIDDLE * scale and head is None:
                 neck, head = limb.joints + limb.beyond, limb.end
             else:
-                others[str(self.mj.body(int(self.mj.jnt_bodyid[limb.joints[0]])).name)] = limb.joints + limb.beyond
+                first = str(self.mj.body(int(self.mj.jnt_bodyid[limb.joints[0]])).name)
+                others[self._group(first, limb, others)] = limb.joints + limb.beyond
         if len(arms) == 1:
             side, limb = arms.popitem()
-            others[f"{side}_limb"] = limb.joints + limb.beyond
+            others[self._group(f"{side}_limb", limb, others)] = limb.joints + limb.beyond
         return arms, neck, head, others
+
+    def _group(self, wanted: str, limb: Limb, others: Collection[str]) -> str:
+        """A name for joints that are of neither arms nor neck."""
+        taken, joints = (*GROUPS, *others), ", ".join(self.mj.joint(j).name for j in limb.joints + limb.beyond)
+        wanted = f"{wanted}_joints" if wanted in taken else wanted
+        name = self.ask(Question(f"neither arm nor neck: {joints}; the name of their group", wanted))
+        if name in taken:
+            raise self.fail(f"group {name!r} is there already; expected another name for {joints}")
+        return name
 
     def _branch(self, link: int, joints: tuple[int, ...], before: set[int]) -> Limb:
         """A chain up to where it branches or has as many joints as an arm has; the rest lies beyond."""
