@@ -22,8 +22,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
 
 from harness.closed_loop import load_robot
-from harness.plan_walk import Walked, walk_plan
 from valor.common.poses import level
+from valor.rehearsal.plan_walk import Walked, walk_plan
 from valor.robot.motion_tables import Footsteps
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs

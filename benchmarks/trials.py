@@ -17,14 +17,13 @@ import bifrost
 from benchmarks.live_system import System
 from valor.common.errors import ValorError
 from valor.common.messages import GroundTruth, Proprioceptor
-from valor.common.poses import Pose
+from valor.common.poses import Pose, middle
 from valor.common.topics import GROUND_TRUTH, PROPRIOCEPTOR
 from valor.devices.dynamixel import Dynamixel
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valorctl import arm_motion, stepping, watch
 from valor.valorctl.arm_motion import SIDES, Limb, Side
-from valor.valorctl.step_planner import middle
 from valor.valorctl.walking import Order, walk
 
 M = TypeVar("M", bound=bifrost.Message)

@@ -31,13 +31,12 @@ from harness.places import ROBOTS
 from harness.system import RosClient
 from harness.waiting import wait_until
 from valor.common.messages import MotionState, PushRequest, StepStatus
-from valor.common.poses import Pose
+from valor.common.poses import Pose, middle
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
 from valor.common.transforms import TransformBuffer, TransformError
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.valorctl.step_plan import FEET, PlanStep
-from valor.valorctl.step_planner import middle
 
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"

@@ -12,13 +12,13 @@ from vigir_footstep_planning_msgs.msg import Step, StepPlan
 
 from harness.places import REPOSITORY, ROBOTS
 from valor.common.errors import ConfigurationError, ValorError
-from valor.common.poses import Pose, level
+from valor.common.poses import Pose, level, middle
 from valor.footstep_converter.plan import convert
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import StepRule
 from valor.valorctl import step_picture
 from valor.valorctl.step_plan import FEET, PlanStep, load
-from valor.valorctl.step_planner import middle, plan_to
+from valor.valorctl.step_planner import plan_to
 from valor.valorctl.stepping import intention
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

@@ -58,6 +58,13 @@ def level(x: float, y: float, z: float, yaw: float) -> Pose:
     return Pose((x, y, z), about_z(yaw))
 
 
+def middle(left: Pose, right: Pose) -> Pose:
+    """The level pose midway between two soles, with the mean of their headings."""
+    x, y, z = ((a + b) / 2.0 for a, b in zip(left.position, right.position, strict=True))
+    yaw = right.yaw + 0.5 * math.remainder(left.yaw - right.yaw, math.tau)
+    return level(x, y, z, yaw)
+
+
 def interpolate(first: Pose, second: Pose, share: float) -> Pose:
     """Between two poses: straight in position, about one axis at an even rate in orientation (slerp)."""
     a, b = first.orientation, second.orientation

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 
 from valor.common.errors import ValorError
-from valor.common.poses import Pose, level
 from valor.robot.motion_tables import Footsteps, Walking
 from valor.valorctl.step_plan import FEET, PlanStep
 
@@ -21,13 +20,6 @@ THERE = (1e-6, 1e-9)  # less is no way, or no turn [m, rad]
 SAFE = 0.9  # of a limit of the robot
 
 Middle = tuple[float, float, float]  # x, y [m], yaw [rad]
-
-
-def middle(left: Pose, right: Pose) -> Pose:
-    """The level pose midway between two soles, with the mean of their headings."""
-    x, y, z = ((a + b) / 2.0 for a, b in zip(left.position, right.position, strict=True))
-    yaw = right.yaw + 0.5 * math.remainder(left.yaw - right.yaw, math.tau)
-    return level(x, y, z, yaw)
 
 
 def plan_to(goal: Middle, limits: Footsteps, walking: Walking) -> list[PlanStep]:

@@ -10,12 +10,12 @@ from typing import Any
 from valor.common.behaviors import STEPPING_MODES, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.poses import Pose
+from valor.common.poses import Pose, middle
 from valor.common.transforms import TransformBuffer, TransformError
 from valor.robot.description import RobotDescription
 from valor.valorctl import control_mode
 from valor.valorctl.step_plan import FEET, START, PlanStep
-from valor.valorctl.step_planner import Middle, middle, plan_to
+from valor.valorctl.step_planner import Middle, plan_to
 
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 ODOM = "odom"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from harness.plan_walk import walk_plan
+from valor.rehearsal.plan_walk import walk_plan
 from valor.robot.description import RobotDescription
 from valor.valorctl.step_plan import PlanStep
 

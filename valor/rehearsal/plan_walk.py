@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
-from harness.closed_loop import ClosedLoop
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest
-from valor.common.poses import Pose
+from valor.common.poses import Pose, middle
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
+from valor.rehearsal.closed_loop import ClosedLoop
 from valor.robot.description import RobotDescription
-from valor.valorctl.step_plan import FEET, PlanStep
-from valor.valorctl.step_planner import middle
+from valor.robot.footsteps import FEET
 from valor.whole_body.walking.gait import sole_poses
 from valor.whole_body.walking.step_queue import StepQueue
 from valor.whole_body.walking.swing import SolePose
@@ -27,6 +27,30 @@ STEP_DURATION = 10.0  # no step takes longer, with the weight's transfer [s]
 REST = 1.0  # after the last step, before the feet are looked at [s]
 
 Error = tuple[float, float]  # distance [m], turn [rad]
+
+
+class PlannedStep(Protocol):
+    """One step of a plan, in the plan's frame; heights and durations of 0 are the robot's own."""
+
+    @property
+    def foot(self) -> str:
+        """Left or right."""
+
+    @property
+    def sole(self) -> Pose:
+        """Where it comes to stand."""
+
+    @property
+    def swing_height(self) -> float:
+        """[m]."""
+
+    @property
+    def step_duration(self) -> float:
+        """Of the swing [s]."""
+
+    @property
+    def sway_duration(self) -> float:
+        """Of the double support before it [s]."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +86,23 @@ class Walked:
 
 
 def walk_plan(
-    robot: RobotDescription, steps: Sequence[PlanStep], *, world: str = "flat", profile: str = "hardware", seed: int = 0
+    robot: RobotDescription,
+    steps: Sequence[PlannedStep],
+    *,
+    world: str = "flat",
+    profile: str = "hardware",
+    seed: int = 0,
 ) -> Walked:
-    """Walk a plan that is given in the frame of the feet as they stand."""
+    """Stand up, and walk a plan that is given in the frame of the feet as they stand."""
     loop = ClosedLoop(robot, profile, seed, world)
     loop.settle(0.3)
     loop.run(2.0)
+    return take_plan(loop, steps)
+
+
+def take_plan(loop: ClosedLoop, steps: Sequence[PlannedStep]) -> Walked:
+    """Likewise, of a robot that stands."""
+    robot = loop.robot
     queue = StepQueue()
     fsm = BehaviorFsm()
     for behavior in (Behavior.STAND_PREP, Behavior.STAND, Behavior.STEP):
@@ -113,7 +148,7 @@ def walk_plan(
     return replace(walked, landing=landing, believed=_largest(believed), true=_largest(true))
 
 
-def _footsteps(steps: Sequence[PlanStep], planned: Sequence[tuple[int, Pose]]) -> list[Footstep]:
+def _footsteps(steps: Sequence[PlannedStep], planned: Sequence[tuple[int, Pose]]) -> list[Footstep]:
     return [
         Footstep(
             step_index=index,
