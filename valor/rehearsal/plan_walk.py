@@ -17,6 +17,7 @@ from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.rehearsal.closed_loop import ClosedLoop
+from valor.rehearsal.legs import Legs
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import FEET
 from valor.whole_body.walking.gait import sole_poses
@@ -118,14 +119,14 @@ def take_plan(loop: ClosedLoop, steps: Sequence[PlannedStep]) -> Walked:
     loop.controller.step_source = queue
     began, landed, landing = loop.time, -1, (0.0, 0.0)
     errors: list[np.ndarray] = []
-    knees = [robot.index[name] for name in ("l_knee_pitch", "r_knee_pitch")]
+    knees = Legs(robot).knees
     knee = math.inf
 
     def go_on() -> None:
         nonlocal knee
         loop.step()
         errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
-        knee = min(knee, float(loop.plant.joint_position[knees].min()))
+        knee = min(knee, float(np.abs(loop.plant.joint_position[knees]).min()))
 
     while queue.running and loop.fall is None and loop.time - began < STEP_DURATION * len(steps):
         go_on()

@@ -14,8 +14,9 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.poses import Pose, level
+from valor.rehearsal.legs import Legs
 from valor.rehearsal.plan_walk import take_plan
-from valor.rehearsal.watch import Legs, Numbers, WatchedLoop
+from valor.rehearsal.watch import Numbers, WatchedLoop
 from valor.robot.checks import SIDES
 from valor.robot.description import RobotDescription
 from valor.simulation.plant import SimulationDivergedError

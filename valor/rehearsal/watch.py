@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.rehearsal.closed_loop import ClosedLoop
-from valor.robot.checks import SIDES, Stance
+from valor.rehearsal.legs import Legs
 from valor.robot.description import RobotDescription
 
 _AT_LIMIT = 0.999  # of an effort limit
@@ -40,27 +39,6 @@ class Numbers:
     def plain(self) -> dict[str, Any]:
         """For JSON."""
         return asdict(self)
-
-
-class Legs:
-    """How long a robot's legs are, and which of their joints are the knees.
-
-    Attributes:
-        length: of the straight leg, hip to sole [m].
-        knees: (2,) places in every joint vector.
-    """
-
-    def __init__(self, robot: RobotDescription) -> None:
-        stance = Stance(robot)
-        lengths, knees = [], []
-        for side in SIDES:
-            hip, knee, *ankle = stance.pitch_joints(side)
-            anchors = [stance.data.joint(name).xanchor for name in (hip, knee, *ankle)]
-            bones = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(anchors))
-            lengths.append(bones + float(anchors[-1][2] - stance.site(stance.foot(side).sole)[0][2]))
-            knees.append(robot.index[knee])
-        self.length = min(lengths)
-        self.knees = np.array(knees)
 
 
 class WatchedLoop(ClosedLoop):

@@ -9,7 +9,6 @@ import typer
 from valor.common.resources import robot_folder, robots
 from valor.valorctl import completion
 from valor.valorctl.console import say
-from valor.valorctl.robot_check import require_sound
 
 robot = typer.Typer(name="robot", help="Make, check and show robots.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -29,6 +28,8 @@ def register(app: typer.Typer) -> None:
 @robot.command()
 def check(named: Named) -> None:
     """Find what is wrong with a robot's folder."""
+    from valor.valorctl.robot_check import require_sound
+
     require_sound(robot_folder(named))
     say(f"{named}: sound")
 
