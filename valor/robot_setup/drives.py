@@ -78,7 +78,7 @@ def drives(robot: Skeleton, leg_length: float, weight: float) -> dict[int, Drive
             share = {"hip": 0.35, "ankle": 0.2, "waist": 0.3, "arm": 0.06, "neck": 0.03, "hand": 0.005}[role]
             effort = share * weight * leg_length
             guesses.append(f"effort: {share:g} of weight times leg")
-        velocity = speeds.get(robot.joint_name(joint))
+        velocity = speeds.get(mj.joint(joint).name)
         if velocity is None:
             velocity = {"hip": 12.0, "ankle": 12.0, "waist": 8.0, "arm": 6.0, "neck": 6.0, "hand": 4.0}[role]
             velocity *= min(2.0, max(1.0, (0.82 / leg_length) ** 0.5))

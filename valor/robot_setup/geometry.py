@@ -149,7 +149,8 @@ def _rectangle(hull: ConvexHull) -> tuple[float, float, float, float]:
     """Back, front, middle and half width of the largest upright rectangle inside a convex hull [m]."""
     normals, offsets = hull.equations[:, :2], hull.equations[:, 2]
     low, high = hull.points.min(axis=0), hull.points.max(axis=0)
-    cuts = np.linspace(low[0], high[0], 41)
+    # Not at the very ends, where an edge that is a hair's breadth askew leaves a point of it.
+    cuts = low[0] + np.linspace(0.001, 0.999, 41) * (high[0] - low[0])
 
     def span(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Least and greatest y inside the hull at x."""

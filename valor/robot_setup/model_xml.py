@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.robot_setup import meshes
 from valor.robot_setup.geometry import Capsule, Sole, capsule, cloud, touching_geoms
 from valor.robot_setup.skeleton import Edge, Skeleton
 
@@ -109,21 +110,29 @@ def _foot_capsule(robot: Skeleton, foot: int, sole: Sole) -> Capsule:
     return Capsule(start, end, radius)
 
 
-def write(robot: Skeleton, parts: Parts, name: str, folder: Path) -> None:
-    """Write ``model.xml`` and the meshes that it shows into a folder."""
-    (folder / "model.xml").write_text(text(robot, parts, name, folder))
+def write(robot: Skeleton, parts: Parts, name: str, folder: Path, size: float) -> None:
+    """Write ``model.xml`` and the meshes that it shows, of a robot whose leg is so long [m], into a folder."""
+    writer = _Writer(robot, parts, shown=True)
+    (folder / "model.xml").write_text(_text(writer, name))
+    meshes.write(robot.source.mj, writer.meshes, folder / "meshes", size)
 
 
-def text(robot: Skeleton, parts: Parts, name: str, folder: Path | None = None) -> str:
-    """``model.xml``; with a folder for its meshes also what one sees, without one only what touches."""
-    writer = _Writer(robot, parts, folder)
+def text(robot: Skeleton, parts: Parts, name: str) -> str:
+    """``model.xml`` with what touches alone, which needs no meshes."""
+    return _text(_Writer(robot, parts, shown=False), name)
+
+
+def _text(writer: _Writer, name: str) -> str:
+    robot, parts = writer.robot, writer.parts
     body = "\n".join(writer.body(robot.pelvis, None, None, 2))
     about = (
         f"{name}, out of {robot.source.file.name}: what each part weighs and where joints turn is the maker's; "
         "the shapes that touch are fitted. Limits, armature, damping and gains stand in robot.yaml. Units: m, kg, rad."
     )
     head = _HEAD.format(about=escape(about).replace("--", "-"), name=escape(name), step=parts.step, ball=parts.ball)
-    assets = "".join(f'    <mesh name="{mesh}" file="{mesh}.stl"/>\n' for mesh in sorted(writer.meshes))
+    assets = "".join(
+        f'    <mesh name="{mesh}" file="{mesh}.stl" inertia="shell"/>\n' for mesh in sorted(writer.meshes.values())
+    )
     contact = "".join(f'    <exclude body1="{a}" body2="{b}"/>\n' for a, b in parts.excluded)
     made = f"{head}\n  <asset>\n{assets}  </asset>\n\n  <worldbody>\n{body}\n  </worldbody>\n"
     made += f"\n  <!-- Fitted shapes that overlap at rest. -->\n  <contact>\n{contact}  </contact>\n" if contact else ""
@@ -131,10 +140,11 @@ def text(robot: Skeleton, parts: Parts, name: str, folder: Path | None = None) -
 
 
 class _Writer:
-    def __init__(self, robot: Skeleton, parts: Parts, folder: Path | None) -> None:
-        self.robot, self.parts, self.folder = robot, parts, folder
+    def __init__(self, robot: Skeleton, parts: Parts, shown: bool) -> None:
+        self.robot, self.parts, self.shown = robot, parts, shown
         self.source, self.mj, self.data = robot.source, robot.source.mj, robot.source.data
-        self.meshes: set[str] = set()
+        self.meshes: dict[int, str] = {}  # shown, by id
+        self.names = set(self.source.bodies)
         self.feet = {leg.end: side for side, leg in robot.legs.items()}
         self.hands = {arm.end: side for side, arm in robot.arms.items()}
         self.fingers = {int(self.mj.jnt_bodyid[j]) for arm in robot.arms.values() for j in arm.beyond}
@@ -152,6 +162,12 @@ class _Writer:
         if before is not None:
             there, parent = self.frame(before)
             placed = _pose(parent.T @ (here - there), parent.T @ rotation)
+        joints = list(self.joints(edge, here, rotation)) if edge else []
+        for joint in joints[:-1]:  # a body of the generated model has one joint: URDF knows no more
+            yield f'{pad}<body name="{self.between(body)}"{placed}>'
+            yield f'{pad}  <inertial mass="1e-06" pos="0 0 0" diaginertia="1e-09 1e-09 1e-09"/>'
+            yield f"{pad}  {joint}"
+            pad, placed = pad + "  ", ""
         yield f'{pad}<body name="{escape(self.robot.name(body))}"{placed}>'
         inside = pad + "  "
         turned = np.zeros(4)
@@ -165,16 +181,32 @@ class _Writer:
             yield f'{inside}<inertial mass="{mj.body_mass[body]:.6g}" {place} diaginertia="{numbers}"/>'
         if before is None:
             yield f'{inside}<freejoint name="floating_base"/>'
-        for joint in edge.joints if edge else ():
-            anchor = rotation.T @ (self.data.xanchor[joint] - here)
-            axis = rotation.T @ self.data.xaxis[joint] * (-1 if edge and edge.reversed else 1)
-            at = "" if np.linalg.norm(anchor) < 1e-6 else f' pos="{_numbers(anchor)}"'
-            yield f'{inside}<joint name="{escape(self.robot.joint_name(joint))}"{at} axis="{_numbers(axis)}"/>'
+        if joints:
+            yield inside + joints[-1]
         yield from (inside + line for line in self.shapes(body, here, rotation))
         for onward in self.robot.edges[body]:
             if onward.to != before:
                 yield from self.body(onward.to, body, onward, depth + 1)
         yield f"{pad}</body>"
+        for _ in joints[:-1]:
+            pad = pad[2:]
+            yield f"{pad}</body>"
+
+    def between(self, body: int) -> str:
+        """A name for one more body before a body."""
+        number = 1
+        while (name := f"{self.robot.name(body)}_{number}") in self.names:
+            number += 1
+        self.names.add(name)
+        return name
+
+    def joints(self, edge: Edge, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
+        """Those on the way to a body, in its frame."""
+        for joint in edge.joints:
+            anchor = rotation.T @ (self.data.xanchor[joint] - here)
+            axis = rotation.T @ self.data.xaxis[joint] * (-1 if edge.reversed else 1)
+            at = "" if np.linalg.norm(anchor) < 1e-6 else f' pos="{_numbers(anchor)}"'
+            yield f'<joint name="{escape(self.robot.joint_name(joint))}"{at} axis="{_numbers(axis)}"/>'
 
     def shapes(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
         """Sites and geoms of a body."""
@@ -196,10 +228,10 @@ class _Writer:
             kind = "finger" if body in self.fingers else "body"
             ends = _numbers([*own @ shape.start, *own @ shape.end])
             yield f'<geom class="{kind}" size="{shape.radius:.4g}" fromto="{ends}"/>'
-        if self.folder is not None:
-            yield from self.seen(self.folder, body, here, rotation)
+        if self.shown:
+            yield from self.seen(body, here, rotation)
 
-    def seen(self, folder: Path, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
+    def seen(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
         """What one sees of a body: what does not collide, else what does."""
         mj = self.mj
         mine = range(mj.body_geomadr[body], mj.body_geomadr[body] + mj.body_geomnum[body])
@@ -212,26 +244,17 @@ class _Writer:
             colour = mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[geom]
             look = f'class="visual" rgba="{_numbers(colour[:3])} 1"{pose}'
             if mj.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-                yield f'<geom {look} type="mesh" mesh="{self.mesh(folder, int(mj.geom_dataid[geom]))}"/>'
+                yield f'<geom {look} type="mesh" mesh="{self.mesh(int(mj.geom_dataid[geom]))}"/>'
             else:
                 kind = mujoco.mjtGeom(int(mj.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
                 yield f'<geom {look} type="{kind}" size="{_numbers(mj.geom_size[geom])}"/>'
 
-    def mesh(self, beside: Path, mesh: int) -> str:
-        """Write a mesh, as it was compiled, into ``meshes`` beside the model, and give it a name."""
-        mj = self.mj
-        name = re.sub(r"\W+", "_", mj.mesh(mesh).name or f"mesh_{mesh}")
-        if name not in self.meshes:
-            self.meshes.add(name)
-            vertices = mj.mesh_vert[mj.mesh_vertadr[mesh] : mj.mesh_vertadr[mesh] + mj.mesh_vertnum[mesh]]
-            faces = mj.mesh_face[mj.mesh_faceadr[mesh] : mj.mesh_faceadr[mesh] + mj.mesh_facenum[mesh]]
-            triangles = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-            triangles["corners"] = vertices[faces]
-            folder = beside / "meshes"
-            folder.mkdir(exist_ok=True)
-            with (folder / f"{name}.stl").open("wb") as file:
-                file.write(b"\0" * 80 + np.uint32(len(faces)).tobytes() + triangles.tobytes())
-        return name
+    def mesh(self, mesh: int) -> str:
+        """The name of a mesh that is shown."""
+        if mesh not in self.meshes:
+            name = re.sub(r"\W+", "_", self.mj.mesh(mesh).name or "mesh")
+            self.meshes[mesh] = f"{name}_{mesh}" if name in self.meshes.values() else name
+        return self.meshes[mesh]
 
 
 def has_shape(robot: Skeleton, body: int) -> bool:

@@ -42,7 +42,7 @@ class Study:
 
     def write(self, folder: Path) -> None:
         """Write ``model.xml``, ``robot.yaml`` and meshes into a folder that there is."""
-        model_xml.write(self.content.robot, self.parts, self.content.name, folder)
+        model_xml.write(self.content.robot, self.parts, self.content.name, folder, self.content.stance.leg_length)
         (folder / "robot.yaml").write_text(robot_yaml.text(self.content))
 
 
@@ -60,6 +60,7 @@ def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = s
     """
     tell(f"reading {model.name}")
     robot = skeleton(Source(model), ask)
+    _keep_frames_free(robot)
     name = name or ask(Question("name of the robot", _usual_name(model)))
     tell("measuring soles, hands and shapes")
     soles = {side: _sole(robot, side) for side in SIDES}
@@ -120,6 +121,15 @@ def _postures(
     }
     home = {name: angle for side in presets.get("home", {}).values() for name, angle in side.items()}
     return poser.stand(legs, half_width, rest | home), presets
+
+
+def _keep_frames_free(robot: Skeleton) -> None:
+    """Rename bodies that are called like frames of others."""
+    names, wanted = robot.source.bodies, robot_yaml.frames(robot) | {"imu": "imu"}
+    for body, name in enumerate(names):
+        if wanted.get(name, body) != body:
+            names[body] = next(new for i in range(1, len(names) + 2) if (new := f"{name}_body{i}") not in names)
+            robot.source.notes.append(f"body {name} is called {names[body]}: the frame {name} is another")
 
 
 def _sole(robot: Skeleton, side: str) -> Sole:

@@ -139,7 +139,7 @@ def _head(content: Content) -> str:
     ]
     if robot.passive:
         names = ", ".join(robot.joint_name(j) for j in robot.passive)
-        lines.append(f"# Welded, because nothing drives them: {names}.")
+        lines.append(f"# Welded at zero, because nothing drives them or they follow others: {names}.")
     lines += [f"# {note}" for note in robot.source.notes]
     lines += [
         "",
@@ -182,7 +182,7 @@ def groups(robot: Skeleton) -> dict[str, list[str]]:
     found |= {f"{side}_arm": robot.arms[side].joints if robot.arms else [] for side in SIDES}
     found["neck"] = robot.neck
     found |= {f"{side}_hand": robot.arms[side].beyond if robot.arms else [] for side in SIDES}
-    found |= robot.others
+    found |= {name if name not in found else f"{name}_others": joints for name, joints in robot.others.items()}
     return {group: [robot.joint_name(j) for j in joints] for group, joints in found.items()}
 
 
@@ -286,19 +286,23 @@ def _motion(content: Content) -> str:
     return "\n".join(lines)
 
 
+def frames(robot: Skeleton) -> dict[str, int | str]:
+    """Frame by its REP-120 name, where it has one → body or site."""
+    found: dict[str, int | str] = {"base_link": robot.pelvis, "torso": robot.chest, "imu_link": "imu"}
+    if robot.head is not None:
+        found["head"] = robot.head
+    for side, arm in robot.arms.items():
+        found |= {f"{side[0]}_wrist": arm.end, f"{side[0]}_gripper": f"{side[0]}_gripper"}
+    for side, leg in robot.legs.items():
+        found |= {f"{side[0]}_ankle": leg.end, f"{side[0]}_sole": f"{side[0]}_sole"}
+    return found
+
+
 def _frames(content: Content) -> str:
     robot = content.robot
-    frames = {"base_link": robot.name(robot.pelvis), "torso": robot.name(robot.chest), "imu_link": "imu"}
-    if robot.head is not None:
-        frames["head"] = robot.name(robot.head)
-    for side, arm in robot.arms.items():
-        frames |= {f"{side[0]}_wrist": robot.name(arm.end), f"{side[0]}_gripper": f"{side[0]}_gripper"}
-    for side, leg in robot.legs.items():
-        frames |= {f"{side[0]}_ankle": robot.name(leg.end), f"{side[0]}_sole": f"{side[0]}_sole"}
+    named = {
+        frame: target if isinstance(target, str) else robot.name(target) for frame, target in frames(robot).items()
+    }
     return "\n".join(
-        [
-            "# REP-120 names where it has them.",
-            "link_frames:",
-            *(f"  {frame}: {name}" for frame, name in frames.items()),
-        ]
+        ["# REP-120 names where it has them.", "link_frames:", *(f"  {frame}: {name}" for frame, name in named.items())]
     )

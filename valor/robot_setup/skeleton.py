@@ -85,11 +85,11 @@ class Skeleton:
 
     def name(self, body: int) -> str:
         """Of a body."""
-        return str(self.source.mj.body(body).name)
+        return self.source.bodies[body]
 
     def joint_name(self, joint: int) -> str:
         """Of a joint."""
-        return str(self.source.mj.joint(joint).name)
+        return self.source.joints[joint]
 
 
 def skeleton(source: Source, ask: Ask = guess) -> Skeleton:
@@ -233,7 +233,7 @@ class _Finder:
         legs = {side: self._limb(ways[foot], foot) for side, foot in zip(("left", "right"), feet, strict=True)}
         for side, leg in legs.items():
             if len(leg.joints) != LEG_JOINTS:
-                names = ", ".join(self.mj.joint(j).name for j in leg.joints)
+                names = ", ".join(self.source.joints[j] for j in leg.joints)
                 raise self.fail(
                     f"the {side} leg has {len(leg.joints)} driven joints ({names}); "
                     "expected six, by which a sole can be put in any pose"
@@ -361,7 +361,7 @@ class _Finder:
             elif abs(lateral) <= _MIDDLE * scale and head is None:
                 neck, head = limb.joints + limb.beyond, limb.end
             else:
-                first = str(self.mj.body(int(self.mj.jnt_bodyid[limb.joints[0]])).name)
+                first = self.source.bodies[int(self.mj.jnt_bodyid[limb.joints[0]])]
                 others[self._group(first, limb, others)] = limb.joints + limb.beyond
         if len(arms) == 1:
             side, limb = arms.popitem()
@@ -370,7 +370,7 @@ class _Finder:
 
     def _group(self, wanted: str, limb: Limb, others: Collection[str]) -> str:
         """A name for joints that are of neither arms nor neck."""
-        taken, joints = (*GROUPS, *others), ", ".join(self.mj.joint(j).name for j in limb.joints + limb.beyond)
+        taken, joints = (*GROUPS, *others), ", ".join(self.source.joints[j] for j in limb.joints + limb.beyond)
         wanted = f"{wanted}_joints" if wanted in taken else wanted
         name = self.ask(Question(f"neither arm nor neck: {joints}; the name of their group", wanted))
         if name in taken:

@@ -13,7 +13,13 @@ from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 
 MESHES = (".stl", ".obj", ".msh")  # that MuJoCo reads
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")  # that YAML, URDF and ROS take as it is
+_WORDS = re.compile("(?i)null|true|false|yes|no|on|off|y|n")  # that YAML takes for something else
 _PACKAGE = re.compile(r"package://([^/]+)/(.*)")
+
+
+def _is_plain(name: str) -> bool:
+    return bool(_NAME.fullmatch(name)) and not _WORDS.fullmatch(name)
 
 
 class Source:
@@ -22,7 +28,8 @@ class Source:
     Attributes:
         file: where it stands.
         mj: the compiled model.
-        data: its kinematics in the configuration in which it is drawn.
+        data: its kinematics with all joints at zero.
+        bodies, joints: names by id; what has none, or one that is no plain word, is given one.
         notes: what was left out of it, for people.
     """
 
@@ -39,7 +46,28 @@ class Source:
         except (ValueError, OSError, ElementTree.ParseError) as error:
             raise ConfigurationError(f"{file}: {' '.join(str(error).split())}") from None
         self.data = mujoco.MjData(self.mj)
+        turning = np.isin(self.mj.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
+        self.data.qpos[self.mj.jnt_qposadr[turning]] = 0.0  # they may be drawn elsewhere, at their ``ref``
         mujoco.mj_forward(self.mj, self.data)
+        self.bodies = self._plain("body", [self.mj.body(i).name for i in range(self.mj.nbody)])
+        self.joints = self._plain("joint", [self.mj.joint(i).name for i in range(self.mj.njnt)])
+
+    def _plain(self, kind: str, names: list[str]) -> list[str]:
+        """Names that are different plain words."""
+        kept = {name for name in names if _is_plain(name)}
+        found = []
+        for i, name in enumerate(names):
+            plain = name
+            if not _is_plain(name):
+                plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("_.-")
+                plain = plain if _is_plain(plain) else f"{kind}_{plain or i}"
+                while plain in kept:
+                    plain += "_"
+                kept.add(plain)
+                if name:
+                    self.notes.append(f"{kind} {name!r} is called {plain}")
+            found.append(plain)
+        return found
 
     def _spec(self) -> mujoco.MjSpec:
         if not self.file.is_file():
