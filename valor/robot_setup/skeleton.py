@@ -141,14 +141,14 @@ class _Finder:
         }
         for joint in others:
             if joint in acted:
-                raise self.fail(f"joint {mj.joint(joint).name} is driven and slides or is a ball; expected hinges")
+                raise self.fail(f"joint {self.source.joints[joint]} is driven and slides or is a ball; expected hinges")
         follows = {
             int(mj.eq_obj1id[e])
             for e in range(mj.neq)
             if mj.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and mj.eq_obj2id[e] >= 0
         }
         driven = {j for j in hinges if (j in acted or not acted) and j not in follows}
-        if idle := [mj.joint(j).name for j in hinges if j not in driven and j not in follows]:
+        if idle := [self.source.joints[j] for j in hinges if j not in driven and j not in follows]:
             text = f"nothing drives {', '.join(idle)}: weld them, or give them servos"
             if self.ask(Question(text, "weld", ("weld", "servo"))) == "servo":
                 driven |= {j for j in hinges if j not in follows}
