@@ -15,6 +15,7 @@ import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.robot.description import RobotDescription
+from valor.robot.legs import knees
 from valor.robot.model import controller_model
 from valor.whole_body.balance.dcm import DcmLaw
 from valor.whole_body.model.arms import UpperBodyKinematics
@@ -74,7 +75,7 @@ def push(
 ) -> Outcome:
     """Push the robot [N·s] and go on until it falls, stands at rest, or for so long; walking on if it walks."""
     began, swinging, steps, saturated = loop.time, None, 0, 0
-    knees = [loop.robot.index["l_knee_pitch"], loop.robot.index["r_knee_pitch"]]
+    bent = knees(loop.robot)
     knee, errors = np.inf, []
     failures = loop.command.qp_failures
     loop.plant.push(impulse * np.array((*direction, 0.0)), DURATION)
@@ -87,7 +88,7 @@ def push(
         errors.append((loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
         if not loop.controller.stepping and loop.time > began + SETTLED and np.hypot(*errors[-1]) < AT_REST:
             break
-        knee = min(knee, float(loop.plant.joint_position[knees].min()))
+        knee = min(knee, float(bent.flexion(loop.plant.joint_position).min()))
         saturated += int(np.count_nonzero(np.abs(loop.command.effort) >= 0.999 * loop.robot.effort_limit))
     rms = float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
     return Outcome(loop.fall, loop.time - began, steps, rms, knee, saturated, loop.command.qp_failures - failures)

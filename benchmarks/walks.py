@@ -10,6 +10,7 @@ from benchmarks.flights import over_stairs
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.robot.description import RobotDescription
+from valor.robot.legs import knees
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl.step_plan import FEET, PlanStep
@@ -133,7 +134,7 @@ def standing_in(robot: RobotDescription, profile: str, seed: int, world: str) ->
 def measure(loop: ClosedLoop, going: Callable[[], bool]) -> str:
     """Step for as long as it goes on and nobody falls; what came of it, as the cells of ``HEADINGS``."""
     robot = loop.robot
-    knees = [robot.index["l_knee_pitch"], robot.index["r_knee_pitch"]]
+    bent = knees(robot)
     before, believed, began = loop.plant.data.qpos[:3].copy(), loop.state.pelvis_position_in_odom, loop.time
     errors, forces, knee, limited = [], [], np.inf, 0
     loop.tick_times.clear()
@@ -141,7 +142,7 @@ def measure(loop: ClosedLoop, going: Callable[[], bool]) -> str:
         loop.step()
         errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
         forces.append(loop.command.desired_foot_forces - loop.state.foot_forces)
-        knee = min(knee, float(loop.plant.joint_position[knees].min()))
+        knee = min(knee, float(bent.flexion(loop.plant.joint_position).min()))
         limited += int(np.count_nonzero(np.abs(loop.command.effort) >= 0.999 * robot.effort_limit))
     x, y, z = np.sqrt(np.mean(np.square(errors), axis=0)) * 1e3
     way = loop.plant.data.qpos[:3] - before

@@ -5,7 +5,10 @@ It knows public names and messages only, and no robot: which joints an arm has i
 and how fast they turn it reads in /robot_description. Start it where the robot's ROS 2 side can be heard (same
 ROS_DOMAIN_ID):
 
-    python stand_and_reach.py [--json FILE]
+    python stand_and_reach.py [--json FILE] [--postures FILE]
+
+It reaches by how an arm's joints are usually called. An arm whose joints are called otherwise needs two postures told,
+joint by joint [rad]: ``{"forward": {…}, "aside": {…}}``. A robot without a neck looks nowhere.
 
 ``perform`` is the whole motion; ``Robot`` shows how each part of it is done over ROS 2.
 
@@ -113,8 +116,8 @@ class Limits:
     velocity: float  # [rad/s]
 
 
-def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
-    """The whole motion, a line a step."""
+def perform(robot: Robot, told: dict[str, Posture]) -> tuple[list[ModeChange], list[Motion]]:
+    """The whole motion, a line a step; ``told``: what to reach for where joints' names do not say it."""
     robot.connect()
     say(f"connected; control mode {robot.mode}")
     changes: list[ModeChange] = []
@@ -131,19 +134,26 @@ def perform(robot: Robot) -> tuple[list[ModeChange], list[Motion]]:
             f"pelvis moved {motion.pelvis_displacement:.2f} cm"
         )
 
-    arm, neck = (robot.joints_of(controller) for controller in (ARM, NECK))
+    arm, neck = robot.joints_of(ARM), robot.joints_of(NECK)
+    if not arm:
+        raise ClientError(f"{CONTROLLERS} knows no {ARM}: the robot has no arm to reach with")
+    reach = {"forward": FORWARD, "aside": ASIDE}
     if not all(any(joint.endswith(end) for joint in arm) for end in REACH):
-        raise ClientError(f"{ARM} moves {', '.join(arm)}: to reach, it needs {' and '.join(REACH)}")
+        reach = told
+    if not reach:
+        raise ClientError(f"{ARM} moves {', '.join(arm)}: to reach, it needs {' and '.join(REACH)}, or --postures")
     if robot.mode != "stand":
         change("stand")
     home = robot.settled(arm)
     change("stand_manipulate")
-    forward, aside = (robot.posture(arm, named) for named in (FORWARD, ASIDE))
+    forward, aside = (robot.posture(arm, reach[name]) for name in ("forward", "aside"))
     look_aside, look_ahead = (robot.posture(neck, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
     follow("right arm forward, then aside", ARM, (2.5, forward), (4.5, aside))
-    follow("neck looks at the hand", NECK, (1.5, look_aside))
+    if neck:
+        follow("neck looks at the hand", NECK, (1.5, look_aside))
     follow("right arm home", ARM, (2.0, forward), (4.5, home))
-    follow("neck ahead", NECK, (1.5, look_ahead))
+    if neck:
+        follow("neck ahead", NECK, (1.5, look_ahead))
     change("stand")
     return changes, motions
 
@@ -218,8 +228,10 @@ class Robot:
             "topic /robot_description": lambda: self.limits,
             f"service {CONTROLLERS}": self.controllers.service_is_ready,
             f"action {MODE_ACTION}": self.modes.server_is_ready,
-            **{f"action of {name}": client.server_is_ready for name, client in self.actions.items()},
         }
+        self._await(needs)
+
+    def _await(self, needs: dict[str, Callable[[], Any]]) -> None:
         try:
             self.wait(lambda: all(present() for present in needs.values()), PATIENCE, "")
         except ClientError:
@@ -228,16 +240,17 @@ class Robot:
             raise ClientError(f"not there within {PATIENCE:g} s: {absent}; {advice}") from None
 
     def joints_of(self, controller: str) -> list[str]:
-        """The joints that a trajectory controller moves.
+        """The joints that a trajectory controller moves; none where there is no such controller.
 
         Raises:
-            ClientError: nobody says, there is no such controller, or a joint of it has no limits.
+            ClientError: nobody says, the controller takes no goals, or a joint of it has no limits.
         """
         asked = self.controllers.call_async(ListControllers.Request())
         self.wait(asked.done, PATIENCE, f"{CONTROLLERS}: no answer within {PATIENCE:g} s")
         interfaces = {each.name: each.required_command_interfaces for each in asked.result().controller}
         if controller not in interfaces:
-            raise ClientError(f"{CONTROLLERS} knows no {controller}")
+            return []
+        self._await({f"action of {controller}": self.actions[controller].server_is_ready})
         joints = [name.removesuffix("/position") for name in interfaces[controller] if name.endswith("/position")]
         if absent := [joint for joint in joints if joint not in self.limits]:
             raise ClientError(f"/robot_description has no limits of {', '.join(absent)}")
@@ -374,12 +387,14 @@ def main() -> int:
     """Returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the measurements there")
+    parser.add_argument("--postures", type=Path, metavar="FILE", help="read what to reach for there")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with closing(Robot()) as robot:
-            report(*perform(robot), robot.streams, arguments.json)
-    except (ClientError, OSError) as error:
+            told = json.loads(arguments.postures.read_text()) if arguments.postures else {}
+            report(*perform(robot, told), robot.streams, arguments.json)
+    except (ClientError, OSError, ValueError) as error:
         print(f"stand_and_reach: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from valor.common.behaviors import Locomotion, Manipulation
+from valor.common.behaviors import NOTHING_TO_LEAD, Locomotion, Manipulation
 from valor.common.messages import MotionState
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_contact import HandContacts
@@ -116,13 +116,14 @@ class Parts:
         state = self.state
         if state is None:
             missing = "the robot's state is not known yet"
-            return Conditions(missing, missing, missing, cannot_get_up=missing)
+            return Conditions(missing, missing, missing, cannot_get_up=missing, nothing_to_lead=missing)
         return Conditions(
             self.drivers.not_prepared(state, self.time * 1e-9),
             self.stance.not_loaded(state),
             self.stance.not_upright(state) or self.falling,
             "the robot has not come to rest from stepping yet" if self.controller.stepping else "",
             self.get_up.refusal(state),
+            "" if self.upper_body.joints[Manipulation].any() else NOTHING_TO_LEAD,
         )
 
     def soles(self) -> Sequence[SolePose]:

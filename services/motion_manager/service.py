@@ -28,7 +28,6 @@ from valor.common.topics import (
 )
 from valor.common.trace import Stage
 from valor.motion_manager.handlers.handler import Handler, make_all
-from valor.motion_manager.hands.hand_goals import SIDES
 from valor.motion_manager.manager import MotionManager
 from valor.motion_manager.safety.custody import ASIDE
 from valor.robot.model import controller_model
@@ -221,5 +220,5 @@ class MotionManagerService:
         if changed or due:
             self._hand_changes = goals.changes
             self._hand_status_due = time + round(HAND_STATUS_PERIOD * 1e9)
-            for side in range(len(SIDES)):
+            for side in goals.sides:
                 self._hand_status.publish(goals.status(side, time))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
+from msgspec import structs
+
+from valor.common.behaviors import MANIPULATING
 from valor.common.table import Table, TableError, read
 
 FILE = Path(__file__).with_name("control_modes.yaml")
@@ -22,6 +26,7 @@ class ControlMode(Table, kw_only=True):
     to: frozenset[str]
     preempts: bool = False
     when_done: str | None = None
+    lacking: str = ""  # not in the file: what a robot has not that the mode is for
 
 
 class ControlModeTable(Table):
@@ -51,6 +56,23 @@ class ControlModeTable(Table):
             ConfigurationError: the file or a key is missing or wrong.
         """
         return read(cls, file)
+
+    def without(self, controllers: Collection[str], lacking: str) -> Self:
+        """For a robot that lacks the limbs of some joint controllers.
+
+        Args:
+            controllers: that are not made for it.
+            lacking: why it is not brought into modes that manipulate; empty: it is.
+        """
+        made = {
+            name: structs.replace(
+                mode,
+                joint_controllers=tuple(each for each in mode.joint_controllers if each not in controllers),
+                lacking=lacking if mode.motion and mode.motion[1] in MANIPULATING else "",
+            )
+            for name, mode in self.modes.items()
+        }
+        return structs.replace(self, modes=made)
 
     def fits(self, mode: str, behavior: str) -> bool:
         """Whether the Motion System in ``behavior`` is what ``mode`` stands for."""

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 
 import bifrost
-from valor.common.behaviors import ControlMode
+from valor.common.behaviors import NOTHING_TO_LEAD, ControlMode
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.behavior_commander import Commander
 from valor.valor_ros_controller.control_modes import ControlModeTable
@@ -83,7 +83,10 @@ class Core:
             ConfigurationError: a table is wrong.
             JointClaimError: two controllers that a mode runs together write the same joint.
         """
-        self.modes, self.table = modes, table = ControlModeTable.load(), ControllersTable.load()
+        everything = ControllersTable.load()
+        self.table = table = everything.of(robot)
+        lacking = "" if table.manipulate else NOTHING_TO_LEAD
+        self.modes = modes = ControlModeTable.load().without(everything.names - table.names, lacking)
         self.hw = hw = ValorEscherHWInterface(robot)
         self.interface = ValorEscherInterface(node, commander, hw, decimation, silence_timeout, clock=clock)
         self.mode_controller = ControlModeController(modes, self.interface, refusal)

@@ -24,7 +24,7 @@ def read(robot: RobotDescription) -> KinematicTree:
     mj = full_model(robot, "all").mj
     tables = robot.tables
     base = tables.base
-    names = {target: frame for frame, target in tables.link_frames.items()}
+    named = set(tables.link_frames.values()) | _measured_sites(robot)
     links = []
     for i in range(1, mj.nbody):
         body = mj.body(i)
@@ -47,22 +47,22 @@ def read(robot: RobotDescription) -> KinematicTree:
     bodies = {link.name for link in links} | {base}
     frames = []
     for site in map(mj.site, range(mj.nsite)):
-        if site.name in names or site.name in _named_sites(robot):
+        if site.name in named:
             link = mj.body(int(mj.site_bodyid[site.id])).name
-            frame = names.get(site.name, site.name)
+            frame = robot.frame_of(site.name)
             frames.append(Frame(frame, site.name, link, tuple(site.pos.tolist()), tuple(site.quat.tolist())))
     for frame, target in tables.link_frames.items():
         if target in bodies and target not in (frame, base):
             frames.append(Frame(frame, target, target, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
-    tree = KinematicTree(base, names.get(base, base), links, frames, urdf="")
+    tree = KinematicTree(base, robot.frame_of(base), links, frames, urdf="")
     return msgspec.structs.replace(tree, urdf=robot_description(robot, tree, mj))
 
 
-def _named_sites(robot: RobotDescription) -> set[str]:
+def _measured_sites(robot: RobotDescription) -> set[str]:
     """The sites that measurements refer to."""
     tables = robot.tables
-    feet, hands = tables.feet, tables.hands
-    return {tables.imu.site, feet.left.sole, feet.right.sole, hands.left.site, hands.right.site}
+    hands = {hand.site for _, hand in tables.hands.present()}
+    return {tables.imu.site, tables.feet.left.sole, tables.feet.right.sole} | hands
 
 
 def main() -> int:

@@ -88,9 +88,9 @@ ROBOT: dict[str, Mutant] = {
     "a joint in no group": Mutant(
         ("l_hip_pitch, l_knee_pitch, ", "l_hip_pitch, "), "joints.l_knee_pitch", "in no group"
     ),
-    "a group missing": Mutant(("  neck: [neck_yaw, neck_pitch]\n", ""), "groups.neck", "missing"),
+    "a group missing": Mutant(("  neck: [neck_yaw, neck_pitch]\n", ""), "joints.neck_yaw", "in no group"),
     "a leg's group missing": Mutant((f"  left_leg: [{LEFT_LEG}]\n", ""), "groups.left_leg", "missing"),
-    "a group misspelt": Mutant(("  torso: [waist_yaw]", "  trunk: [waist_yaw]"), "groups.torso", "missing"),
+    "a group misspelt": Mutant(("  torso: [waist_yaw]", "  trunk: [waist_yaw]"), "groups.torso", "expected waist_yaw"),
     "a group with an unknown joint": Mutant(("[neck_yaw,", "[neck,"), "groups.neck.0", "got 'neck'"),
     "the waist in an arm": Mutant(
         (("torso: [waist_yaw]", "torso: []"), ("left_arm: [", "left_arm: [waist_yaw, ")), "devices.legs", "waist_yaw"

@@ -14,10 +14,11 @@ from harness.motion_states import motion_state
 from harness.places import ROBOTS
 from valor.analysis import track_builder, track_plot
 from valor.analysis.track_builder import TrackBuilder
-from valor.analysis.walk import Figures, Timeliness, Track, knees
+from valor.analysis.walk import Figures, Timeliness, Track
 from valor.analysis.walk_report import WalkReport
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor
 from valor.robot.description import RobotDescription
+from valor.robot.legs import knees
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 COUNT = 400  # control periods
@@ -33,9 +34,9 @@ def walk() -> tuple[list[MotionState], list[Proprioceptor]]:
     for k in range(COUNT):
         time = round(1e9 * k * ROBOT.control_period)
         joints = np.zeros(len(ROBOT.joints))
-        joints[knees(ROBOT)] = BENT
+        joints[knees(ROBOT).places] = BENT
         if k == COUNT // 2:
-            joints[knees(ROBOT)[1]] = STRAIGHT
+            joints[knees(ROBOT).places[1]] = STRAIGHT
         wrench = np.array([0.0, 0.0, FELT, 0.0, 0.0, 0.0])
         states.append(
             motion_state(

@@ -84,7 +84,10 @@ class Hand:
     def __init__(self, robot: RobotDescription, side: Side) -> None:
         self._model = full_model(robot)
         self._data = mujoco.MjData(self._model.mj)
-        self._site = self._model.site(getattr(robot.tables.hands, side).site)
+        hand = getattr(robot.tables.hands, side)
+        if hand is None:
+            raise BagError(f"robot {robot.name!r} has no {side} hand")
+        self._site = self._model.site(hand.site)
         self._chest = self._model.body(robot.tables.chest)
 
     def in_chest(self, joints: FloatArray) -> Poses:
@@ -148,7 +151,7 @@ class HandTrack:
             BagError: the bag lacks a topic, or no motion moved that arm.
         """
         robot = recording.robot
-        arm = robot.tables.groups[f"{side}_arm"]
+        arm = robot.tables.group(f"{side}_arm")
         motions = [motion for motion in timeline.motions if set(motion.goal) & set(arm)]
         if not motions:
             raise BagError(f"{recording.bag.path}: no motion moved the {side} arm")

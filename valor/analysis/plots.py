@@ -65,9 +65,10 @@ def joint_tracking(bag: Bag | Path, robot: RobotDescription, groups: Iterable[st
 
 def _track_group(recording: Recording, group: str, out: Path) -> Path:
     robot = recording.robot
-    if group not in robot.tables.groups:
-        raise BagError(f"robot {robot.name!r} has no joint group {group!r}; it has {', '.join(robot.tables.groups)}")
-    joints = robot.tables.groups[group]
+    joints = robot.tables.group(group)
+    if not joints:
+        has = [name for name, members in robot.tables.groups.items() if members]
+        raise BagError(f"robot {robot.name!r} has no joint group {group!r}; it has {', '.join(has)}")
     times, measured = recording.measured()
     command_times, commands = recording.commands()
     setpoints = recording.setpoints()

@@ -18,18 +18,13 @@ from valor.common.behaviors import STEPPING, WALKING, Behavior
 from valor.common.messages import ClockStatus, MotionState, Proprioceptor
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
+from valor.robot.legs import knees
 from valor.robot.model import full_model
 
 MOVING = 0.05  # slower than this for good, the walk is over [m/s]
 STEPS = (*STEPPING, *WALKING)  # behaviors in which the robot walks
 SHORTEST_PRINT = 0.15  # of a foot that stands [s]
 _VERTICAL = 2  # of a wrench
-
-
-def knees(robot: RobotDescription) -> list[int]:
-    """Places of the knees in every joint vector, left and right."""
-    return [robot.index[name] for side in ("left", "right") for name in robot.tables.groups[f"{side}_leg"]
-            if "knee" in name]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Track:
     dcm_error: FloatArray  # (n, 3) from its reference [m]
     desired_force: FloatArray  # (n, 2) vertical, left and right, as planned [N]
     measured_force: FloatArray  # (n, 2) the foot sensors' in the same period [N]
-    knee: FloatArray  # (n, 2) [rad]
+    knee: FloatArray  # (n, 2) flexion [rad]
     tick: FloatArray  # (n,) [s]
     qp_failures: npt.NDArray[np.int64]  # (n,) since start
     saturations: npt.NDArray[np.int64]  # (n,) since start
@@ -89,7 +84,7 @@ class Track:
             dcm_error=states["dcm_in_odom"] - states["dcm_reference_in_odom"],
             desired_force=states["desired_foot_forces"],
             measured_force=np.column_stack(feet),
-            knee=measured["joint_position"][answered][:, knees(robot)],
+            knee=knees(robot).flexion(measured["joint_position"][answered]),
             tick=states["tick_time"],
             qp_failures=states["qp_failures"].astype(np.int64),
             saturations=states["torque_saturations"].astype(np.int64),
@@ -129,7 +124,7 @@ class Figures:
     duration: float  # [robot time, s]
     fell: bool
     dcm_error: tuple[float, float, float]  # root mean square, x, y, z in odom [m]
-    knee: float  # the smallest angle [rad]
+    knee: float  # the smallest flexion [rad]
     saturations: int  # joint commands clamped by effort limits
     force_error: float  # vertical, planned against measured one period later, root mean square of both feet [N]
     force_error_median: float  # of its magnitude [N]

@@ -121,6 +121,9 @@ INTERNAL_STATES: Mapping[Behavior, tuple[Locomotion, Manipulation, Attention]] =
 }  # fmt: skip
 """Table 3.1. The neck stays closed in Stand Prep, where every joint goes to the nominal posture."""
 
+NOTHING_TO_LEAD = "this robot has neither arms nor hands nor a waist to lead"
+"""Why no behavior that manipulates is for a robot of which legs and neck are all that moves."""
+
 # For names as they come off the wire, which need not be those of a behavior: `name in FALLEN`.
 BALANCING = frozenset(behavior for behavior in Behavior if behavior.balancing)
 OPERATIONAL = frozenset(behavior for behavior in Behavior if behavior.operational)

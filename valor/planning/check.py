@@ -11,7 +11,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.planning.key_poses import KeyPose
 from valor.planning.plan_table import ContactPoints
-from valor.planning.posture import SagittalPosture, ends, twin
+from valor.planning.posture import SagittalPosture, ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ def check(posture: SagittalPosture, contacts: Mapping[str, ContactPoints], pose:
     jacobian = np.zeros((3, mj.nv))
     for name, forces in pose.forces.items():
         contact = contacts[name]
-        sides = {twin(contact.body): (1.0, -1.0, 1.0)} | {contact.body: (1.0, 1.0, 1.0)}
+        sides = {posture.sides.body(contact.body): (1.0, -1.0, 1.0)} | {contact.body: (1.0, 1.0, 1.0)}
         for body, side in sides.items():
             number = model.body(body)
             for point, force in zip(contact.points, forces, strict=True):

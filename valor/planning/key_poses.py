@@ -21,7 +21,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError, ValorError
 from valor.planning.plan_table import ContactPoints, GetUpPlan, PlannedPose
-from valor.planning.posture import BASE, Expression, SagittalPosture, twin
+from valor.planning.posture import BASE, Expression, SagittalPosture
 from valor.robot.model import Model
 
 TORQUE_COST, FORCE_COST, NEAR_COST = 0.02, 0.02, 1.0  # of shares of the limits, of the weight, of rad; squared
@@ -70,7 +70,7 @@ class _Kinematics:
             )  # what touches, in the body's frame: the ball's lowest point
             lowest = [np.array(point) + contact.radius * rotation.T @ down for point in contact.points]
             touching = [position + rotation @ held[:, i] for i in range(len(contact.points))]
-            sides = 1.0 if twin(contact.body) == contact.body else 2.0
+            sides = 1.0 if posture.sides.body(contact.body) == contact.body else 2.0
             work = sides * sum(f[i, :] @ point for i, point in enumerate(touching))
             effect = ca.substitute(ca.gradient(work, z), held, ca.horzcat(*lowest))
             places = ca.substitute(ca.horzcat(*touching).T, held, ca.horzcat(*lowest))

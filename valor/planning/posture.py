@@ -17,6 +17,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.planning.sides import Sides
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.model import Model
 
@@ -40,6 +41,7 @@ class SagittalPosture:
         model: the MuJoCo model, every joint in it.
         joints: one name a coordinate after the pelvis', of the left side or the middle; m of them.
         lower, upper: (m,) limits [rad]; effort: (m,) of one joint [N·m].
+        sides: what is the same on either side.
         mass: of the robot [kg].
         weight: [N].
     """
@@ -48,17 +50,16 @@ class SagittalPosture:
         """Take the joints of the left side and the middle that may move; the others stay at zero.
 
         Raises:
-            ConfigurationError: a joint is unknown, or has no twin on the right.
+            ConfigurationError: a joint is unknown, or the sides have not as many joints.
         """
         robot, mj = model.robot, model.mj
         self.model = model
         self.joints = joints
         if unknown := [name for name in joints if name not in robot.index]:
             raise ConfigurationError(f"{robot.folder}: no joint {unknown[0]!r}; expected one of robot.yaml")
-        rows, self._twins = np.array([robot.index[name] for name in joints]), [twin(name) for name in joints]
-        for name in self._twins:
-            if name not in robot.index:
-                raise ConfigurationError(f"{robot.folder}: no joint {name!r}, the twin of one of the left side")
+        self.sides = Sides(model)
+        rows = np.array([robot.index[name] for name in joints])
+        self._twins = [self.sides.joint(name) for name in joints]
         self.limits = CommandedLimits.of_joints(robot).select(rows)
         self.mass = float(mj.body_subtreemass[0])
         self.weight = self.mass * float(-mj.opt.gravity[2])
@@ -70,7 +71,7 @@ class SagittalPosture:
         out: dict[str, float] = {}
         for name, angle in angles.items():
             out[name] = angle
-            if (right := twin(name)) != name:
+            if (right := self.sides.joint(name)) != name:
                 out[right] = angle * mirror_sign(self.model.mj, name, right)
         return out
 
@@ -121,22 +122,13 @@ class SagittalPosture:
         """What must not go through the floor, of the left side and the middle: every shape that collides."""
         mj, out = self.model.mj, []
         for geom in range(mj.ngeom):
-            name = mj.body(mj.geom_bodyid[geom]).name
-            if twin(name, back=True) != name or not (mj.geom_contype[geom] or mj.geom_conaffinity[geom]):
+            right = self.sides.is_right(int(mj.geom_bodyid[geom]))
+            if right or not (mj.geom_contype[geom] or mj.geom_conaffinity[geom]):
                 continue
             points, radius = ends(mj, geom)
             points = points @ _matrix(mj.geom_quat[geom]).T + mj.geom_pos[geom]
             out.append(Ends(int(mj.geom_bodyid[geom]), points, radius))
         return out
-
-
-def twin(name: str, back: bool = False) -> str:
-    """The same joint or body of the right side for one of the left; one of the middle is its own.
-
-    ``back``: of the left side for one of the right.
-    """
-    here, there = ("r_", "l_") if back else ("l_", "r_")
-    return there + name.removeprefix(here) if name.startswith(here) else name
 
 
 def mirror_sign(mj: mujoco.MjModel, left: str, right: str) -> float:

@@ -84,7 +84,7 @@ class Stance:
     def pitch_joints(self, side: str) -> list[str]:
         """Of a leg, those that turn about the base's lateral axis, from the hip to the ankle."""
         lateral = self.base[1][:, 1]
-        group = self.robot.tables.groups[f"{side}_leg"]
+        group = self.robot.tables.group(f"{side}_leg")
         return [name for name in group if abs(self.data.joint(name).xaxis @ lateral) > 0.9]
 
     def outline(self, side: str) -> soles.Points:
@@ -97,10 +97,11 @@ class Stance:
 def sites_are_on_their_bodies(stance: Stance) -> Iterator[TableError]:
     """A sole is on its foot, a hand's site on its hand, the IMU on the base."""
     tables, mj = stance.robot.tables, stance.model.mj
-    pairs = [((limbs, side, key), getattr(getattr(tables, limbs), side), key)
-             for limbs, key in (("feet", "sole"), ("hands", "site")) for side in SIDES]  # fmt: skip
-    wanted = [(path, getattr(limb, key), limb.body) for path, limb, key in pairs]
-    for path, site, body in [*wanted, (("imu", "site"), tables.imu.site, tables.base)]:
+    wanted: list[tuple[tuple[str, ...], str, str]] = [(("imu", "site"), tables.imu.site, tables.base)]
+    feet = [(side, stance.foot(side)) for side in SIDES]
+    wanted += [(("feet", side, "sole"), foot.sole, foot.body) for side, foot in feet]
+    wanted += [(("hands", side, "site"), hand.site, hand.body) for side, hand in tables.hands.present()]
+    for path, site, body in wanted:
         if (found := mj.body(mj.site_bodyid[stance.model.site(site)]).name) != body:
             yield TableError(path, f"got {site!r}, which is on {found}; expected a site on {body}")
 
@@ -111,7 +112,7 @@ def torso_is_below_the_chest(stance: Stance) -> Iterator[TableError]:
 
 
 def _differing(stance: Stance, group: str, chain: list[str]) -> Iterator[TableError]:
-    if odd := sorted(set(stance.robot.tables.groups[group]) ^ set(chain)):
+    if odd := sorted(set(stance.robot.tables.group(group)) ^ set(chain)):
         yield TableError(("groups", group), f"expected {', '.join(chain) or 'none'}; in one of both only: {odd}")
 
 
@@ -121,9 +122,10 @@ def sides_are_where_they_are_said_to_be(stance: Stance) -> Iterator[TableError]:
     torso = stance.above(body(tables.chest))
     for side in SIDES:
         foot, hand = stance.foot(side), getattr(tables.hands, side)
-        arm = [name for name in stance.above(body(hand.body)) if name not in torso]
         places = [("feet", foot.body, stance.site(foot.sole)[0])]
-        places += [("hands", hand.body, stance.data.joint(name).xanchor) for name in arm[:1]]
+        if hand is not None:
+            arm = [name for name in stance.above(body(hand.body)) if name not in torso]
+            places += [("hands", hand.body, stance.data.joint(name).xanchor) for name in arm[:1]]
         for limbs, name, place in places:
             lateral = float((place - stance.base[0]) @ stance.base[1][:, 1])
             if lateral * (1 if side == "left" else -1) <= 0:
@@ -132,17 +134,25 @@ def sides_are_where_they_are_said_to_be(stance: Stance) -> Iterator[TableError]:
 
 
 def groups_are_what_they_are_called(stance: Stance) -> Iterator[TableError]:
-    """Legs and arms are the joints between base and feet, chest and hands; fingers and neck lie beyond."""
+    """Legs and arms are the joints between base and feet, chest and hands; fingers and neck lie beyond.
+
+    An arm without a hand hangs on the chest as the neck does.
+    """
     tables, body = stance.robot.tables, stance.model.body
-    groups = tables.groups
     torso = stance.above(body(tables.chest))
+    beyond = {"neck": tables.chest}
     for side in SIDES:
+        arm, hand, fingers = f"{side}_arm", getattr(tables.hands, side), f"{side}_hand"
         yield from _differing(stance, f"{side}_leg", stance.above(body(stance.foot(side).body)))
-        hand = stance.above(body(getattr(tables.hands, side).body))
-        yield from _differing(stance, f"{side}_arm", [name for name in hand if name not in torso])
-    beyond = {f"{side}_hand": getattr(tables.hands, side).body for side in SIDES} | {"neck": tables.chest}
+        if hand is None:
+            beyond[arm] = tables.chest
+            yield from _differing(stance, fingers, [])
+        else:
+            beyond[fingers] = hand.body
+            above = stance.above(body(hand.body))
+            yield from _differing(stance, arm, [name for name in above if name not in torso])
     for group, root in beyond.items():
-        for place, name in enumerate(groups[group]):
+        for place, name in enumerate(tables.group(group)):
             if not set(stance.above(body(root))) < set(stance.above(int(stance.model.mj.joint(name).bodyid[0]))):
                 yield TableError(("groups", group, str(place)), f"got {name!r}; expected a joint beyond {root}")
 

@@ -134,8 +134,12 @@ class RobotDescription:
         return {name: i for i, name in enumerate(self.joints)}
 
     def group_indices(self, group: str) -> npt.NDArray[np.intp]:
-        """Places of a group's joints in every joint vector."""
-        return np.array([self.index[name] for name in self.tables.groups[group]], dtype=np.intp)
+        """Places of a group's joints in every joint vector; (0,) where the robot has no such limb."""
+        return np.array([self.index[name] for name in self.tables.group(group)], dtype=np.intp)
+
+    def frame_of(self, target: str) -> str:
+        """The ROS frame of a body or site of the model: as ``link_frames`` calls it, else its own name."""
+        return {name: frame for frame, name in self.tables.link_frames.items()}.get(target, target)
 
     @cached_property
     def lower(self) -> FloatArray:

@@ -8,6 +8,7 @@ differ. A ``Model`` knows where each joint's numbers stand in MuJoCo's vectors.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Literal
 
 import mujoco
@@ -107,6 +108,10 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
     for geom in list(spec.geoms):
         if shapes == "none" or (shapes == "collision" and not (geom.contype or geom.conaffinity)):
             spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):  # reading those of no shape would take seconds
+        if (mesh.name or Path(mesh.file).stem) not in used:
+            spec.delete(mesh)
     _check_names(robot, spec)
     spec.option.timestep = robot.tables.physics_step
     return spec
@@ -122,7 +127,7 @@ def controller_model(robot: RobotDescription) -> Model:
     for geom in list(spec.geoms):
         if geom.parent.name not in apart:
             spec.delete(geom)
-    moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.groups[group]}
+    moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.group(group)}
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:
             _weld(spec, joint, robot.tables.nominal_posture.get(joint.name, 0.0))
@@ -160,10 +165,14 @@ def _check_names(robot: RobotDescription, spec: mujoco.MjSpec) -> None:
     """Every body and site that robot.yaml names is in the model."""
     tables, model = robot.tables, robot.tables.model
     bodies, sites = {body.name for body in spec.bodies}, {site.name for site in spec.sites}
-    limbs = [(limb, side) for limb in ("feet", "hands") for side in ("left", "right")]
+    feet = [("left", tables.feet.left), ("right", tables.feet.right)]
+    hands = list(tables.hands.present())
     named_bodies: list[tuple[tuple[str, ...], str]] = [
-        *(((key,), getattr(tables, key)) for key in ("base", "chest", "head")),
-        *(((limb, side, "body"), getattr(getattr(tables, limb), side).body) for limb, side in limbs),
+        (("base",), tables.base),
+        (("chest",), tables.chest),
+        *([] if tables.head is None else [(("head",), tables.head)]),
+        *((("feet", side, "body"), foot.body) for side, foot in feet),
+        *((("hands", side, "body"), hand.body) for side, hand in hands),
         *(
             (("self_collision", "pairs", str(i)), body)
             for i, pair in enumerate(tables.self_collision.pairs)
@@ -172,8 +181,8 @@ def _check_names(robot: RobotDescription, spec: mujoco.MjSpec) -> None:
     ]
     named_sites: list[tuple[tuple[str, ...], str]] = [
         (("imu", "site"), tables.imu.site),
-        *((("feet", side, "sole"), getattr(tables.feet, side).sole) for side in ("left", "right")),
-        *((("hands", side, "site"), getattr(tables.hands, side).site) for side in ("left", "right")),
+        *((("feet", side, "sole"), foot.sole) for side, foot in feet),
+        *((("hands", side, "site"), hand.site) for side, hand in hands),
     ]
     named_frames = [(("link_frames", frame), name) for frame, name in tables.link_frames.items()]
     for what, known, named in (

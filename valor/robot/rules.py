@@ -10,15 +10,16 @@ from collections.abc import Callable, Iterator, Mapping
 from valor.common.table import TableError
 from valor.robot.tables import RobotTables
 
-REQUIRED_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm", "neck", "left_hand", "right_hand")
-"""What controllers and controllers.yaml name; a robot may leave some empty, but says so."""
+REQUIRED_GROUPS = ("left_leg", "right_leg")
+"""What a robot cannot stand without. Any other limb may be lacking, its group empty or absent."""
 
 
 def groups_are_there(tables: RobotTables) -> Iterator[TableError]:
-    """Every group that code goes by is in ``groups``."""
+    """A robot has legs."""
     for group in REQUIRED_GROUPS:
-        if group not in tables.groups:
-            yield TableError(("groups", group), "expected, but missing")
+        if not tables.group(group):
+            what = "got no joints; expected a leg's" if group in tables.groups else "expected, but missing"
+            yield TableError(("groups", group), what)
 
 
 def every_joint_is_in_one_group(tables: RobotTables) -> Iterator[TableError]:
@@ -45,7 +46,7 @@ def postures_are_within_limits(tables: RobotTables) -> Iterator[TableError]:
     for limb, presets in (("arm", tables.arm_presets), ("hand", tables.hand_presets)):
         for preset, sides in presets.items():
             for side, posture in sides.items():
-                members = tables.groups[f"{side}_{limb}"]
+                members = tables.group(f"{side}_{limb}")
                 yield from _posture(tables, (f"{limb}_presets", preset, side), posture, members)
 
 
@@ -54,7 +55,7 @@ def _posture(
 ) -> Iterator[TableError]:
     for name, angle in posture.items():
         if name not in members:
-            what = "one of joints" if len(members) == len(tables.joints) else f"one of {', '.join(members)}"
+            what = "one of joints" if len(members) == len(tables.joints) else f"one of {', '.join(members) or 'none'}"
             yield TableError((*path, name), f"unknown joint; expected {what}")
             continue
         joint = tables.joints[name]
@@ -81,6 +82,8 @@ def limbs_are_distinct(tables: RobotTables) -> Iterator[TableError]:
     """Left and right foot, and hand, are two bodies with a site each."""
     for limbs, keys in (("feet", ("body", "sole")), ("hands", ("body", "site"))):
         pair = getattr(tables, limbs)
+        if pair.left is None or pair.right is None:
+            continue
         for key in keys:
             name = getattr(pair.left, key)
             if name == getattr(pair.right, key):

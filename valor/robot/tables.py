@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
@@ -19,6 +20,7 @@ from valor.robot.motion_tables import (
 Turn = Annotated[float, Meta(ge=-13, le=13)]
 """Two turns either way [rad]: more is in degrees."""
 Share = Annotated[float, Meta(ge=0, lt=1)]
+Side = Literal["left", "right"]
 Lag = Annotated[float, Meta(ge=0, le=0.1)]  # [s]
 
 
@@ -76,15 +78,22 @@ class Feet(Table):
 
 
 class Hands(Table):
-    """Both hands."""
+    """The hands that a robot has."""
 
-    left: Hand
-    right: Hand
+    left: Hand | None = None
+    right: Hand | None = None
     contact_on: Positive = 15.0  # force from which a hand counts as touching something [N]
     contact_off: Positive = 8.0  # until here
 
     def __post_init__(self) -> None:
         require_order(self, "contact_off", "contact_on")
+
+    def present(self) -> Iterator[tuple[Side, Hand]]:
+        """Side and table of each, left first."""
+        if self.left is not None:
+            yield "left", self.left
+        if self.right is not None:
+            yield "right", self.right
 
 
 class Imu(Table):
@@ -133,7 +142,7 @@ class ActuatorProfile(Table):
 ControlRate = Annotated[float, Meta(ge=100, le=1000, extra={"unit": "Hz"})]
 """[Hz]. Undisturbed and without delays ESCHER still stands at 25 Hz, and falls at 10: this leaves room for both."""
 
-Presets = dict[str, dict[Literal["left", "right"], dict[str, float]]]
+Presets = dict[str, dict[Side, dict[str, float]]]
 """Name of a posture → side → joint → position."""
 
 
@@ -152,15 +161,15 @@ class RobotTables(Table, kw_only=True):
     ]  # of the simulation; contacts bear no longer one [s]
     base: str  # the floating body, the pelvis
     chest: str  # the body that pushes act on and whose orientation is held
-    head: str
+    head: str | None = None
     imu: Imu
     feet: Feet
-    hands: Hands
+    hands: Hands = Hands()
     joints: dict[str, Joint]  # the order is that of every joint vector
-    groups: dict[str, list[str]]  # left_leg, right_leg, torso, left_arm, right_arm, neck, left_hand, right_hand, …
+    groups: dict[str, list[str]]  # left_leg, right_leg; torso, left_arm, … where there are any
     nominal_posture: dict[str, float]  # [rad]; joints not named: 0
     nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
-    arm_presets: Presets  # [rad]
+    arm_presets: Presets = {}  # [rad]
     hand_presets: Presets = {}  # [rad]
     actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
     fall: Section
@@ -178,6 +187,10 @@ class RobotTables(Table, kw_only=True):
     devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order in which they are found and enabled
     calibration: Calibration = Calibration()
     supply: SupplyLimits = SupplyLimits()
+
+    def group(self, name: str) -> list[str]:
+        """A group's joints, in its order; none where the robot has no such limb."""
+        return self.groups.get(name, [])
 
     def device_joints(self, name: str) -> list[str]:
         """The joints that a device moves, in its units' order."""

@@ -41,15 +41,16 @@ class Sensors:
             [
                 (tables.feet.left.body, tables.feet.left.sole),
                 (tables.feet.right.body, tables.feet.right.sole),
-                (tables.hands.left.body, tables.hands.left.site),
-                (tables.hands.right.body, tables.hands.right.site),
+                *(None if hand is None else (hand.body, hand.site) for hand in (tables.hands.left, tables.hands.right)),
             ],
         )
         self._rng = np.random.default_rng([seed, 1])
         self._resolution = noise.joint_position_resolution
         deviation = [noise.joint_position] * n + [noise.joint_velocity] * n + [noise.joint_effort] * n
         deviation += [noise.gyroscope] * 3 + [noise.accelerometer] * 3
-        deviation += ([noise.force] * 3 + [noise.torque] * 3) * 4 + [noise.orientation] * 3
+        for place in self._wrenches.places:
+            deviation += [noise.force] * 3 + [noise.torque] * 3 if place else [0.0] * 6
+        deviation += [noise.orientation] * 3
         self._deviation = np.array(deviation)
         self._noise, self._truth = np.zeros(self._deviation.size), np.zeros(self._deviation.size)
         self._truth[-3:-1] = self._rng.standard_normal(2) * noise.orientation_bias  # roll and pitch
@@ -104,18 +105,24 @@ class Sensors:
 class WrenchSensors:
     """Force-torque sensors that report what the world does to a body and all that hangs on it, in a site's frame.
 
-    Real ones sit between the link and the rest and feel its weight too; their drivers take it out again.
+    Real ones sit between the link and the rest and feel its weight too; their drivers take it out again. A sensor that
+    the robot has not feels nothing, nor noise.
+
+    Attributes:
+        places: body and site of each sensor, m of them; None: the robot has it not.
     """
 
-    def __init__(self, plant: Plant, places: list[tuple[str, str]]) -> None:
-        """``places``: body and site of each sensor, m of them."""
+    def __init__(self, plant: Plant, places: list[tuple[str, str] | None]) -> None:
         mj, data = plant.model.mj, plant.data
+        self.places = places
         self._forces = data.cfrc_ext  # (nbody, 6) torque and force in world axes, about the robot's CoM
         self._sum = np.zeros((len(places), mj.nbody))  # which bodies each sensor carries
         self._sites = []
-        for row, (body, site) in enumerate(places):
-            top, place = plant.model.body(body), plant.model.site(site)
-            self._sum[row] = [_carries(mj, top, b) for b in range(mj.nbody)]
+        for row, names in enumerate(places):
+            place = 0  # a site that nothing is felt at
+            if names is not None:
+                top, place = plant.model.body(names[0]), plant.model.site(names[1])
+                self._sum[row] = [_carries(mj, top, b) for b in range(mj.nbody)]
             self._sites.append((data.site_xpos[place], data.site_xmat[place]))
         self._com = data.subtree_com[plant.model.body(plant.model.robot.tables.base)]
         self._in_site = np.zeros((len(places), 6))

@@ -47,12 +47,29 @@ class LimbMotion:
         return f"largest joint error {self.worst_error:+.4f} rad at {self.worst_joint} (limit {self.tolerance:g} rad)"
 
 
+def require_limbs(robot: RobotDescription, what: str, *groups: str) -> None:
+    """Refuse what a robot has not the limbs for.
+
+    Args:
+        robot: its description.
+        what: is wanted of it.
+        groups: of robot.yaml that it takes.
+
+    Raises:
+        ValorError: a group has no joints; says which limb the robot lacks.
+    """
+    lacking = [group.replace("_", " ") for group in groups if not robot.tables.group(group)]
+    if lacking:
+        raise ValorError(f"{what}: {robot.name} has no {' and no '.join(lacking)} that moves")
+
+
 def preset(robot: RobotDescription, side: Side, limb: Limb, name: str) -> dict[str, float]:
     """Joint positions of a preset [rad].
 
     Raises:
-        ValorError: no such preset for that limb; lists the known.
+        ValorError: the robot has no such limb, or no such preset for it; lists the known.
     """
+    require_limbs(robot, f"preset {name!r}", f"{side}_{limb}")
     presets = {"arm": robot.tables.arm_presets, "hand": robot.tables.hand_presets}[limb]
     known = sorted(each for each, sides in presets.items() if side in sides)
     if name not in known:
@@ -102,7 +119,7 @@ def move_limb(
         measured = PROPRIOCEPTOR.subscriber(node)
         start = _positions(robot, measured)
         # The controller wants all joints of the limb; those that the preset leaves out stay.
-        goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.groups[f"{side}_{limb}"]}
+        goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.group(f"{side}_{limb}")}
         duration = trajectory_duration(robot, start, goal, speed)
         follow(instance, f"{side}_{limb}", goal, duration, check)
         worst, error = _final_error(robot, measured, goal, tolerance, check)

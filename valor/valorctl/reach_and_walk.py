@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.resources import example_file
 from valor.robot.description import RobotDescription
-from valor.valorctl import demonstration, instance_setup, startup, walking
+from valor.valorctl import arm_motion, demonstration, instance_setup, startup, walking
 from valor.valorctl.console import Progress
 from valor.valorctl.interruption import Interruption
 
@@ -21,6 +22,7 @@ NAME = "demo"
 PROGRAM = "stand_and_reach.py"
 DISTANCE = 3.0  # off the level pad, onto the dirt [m]
 GROUP = "right_arm"  # that reaches
+POSTURES = {"forward": "forward", "aside": "side"}  # of the client → presets
 
 _PROGRAM_TIMEOUT = 300.0  # [s]
 
@@ -47,6 +49,8 @@ def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, inter
         ValorError: a part of it failed; says which.
     """
     program = example_file(PROGRAM)
+    robot = RobotDescription.load(instance_setup.plan(instance_setup.Request(robot=wanted.robot)).settings.robot)
+    arm_motion.require_limbs(robot, "demo (`demo walk` walks alone)", GROUP)
     bag, measurements = demonstration.prepare(instance, out, "demo.mcap", "demo.json")
     request = instance_setup.Request(
         robot=wanted.robot, actuators="hardware", world=demonstration.WORLD,
@@ -55,7 +59,7 @@ def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, inter
     order = walking.Order(forward=demonstration.SPEED, distance=DISTANCE, straight=True)
     failures = demonstration.Failures()
     with startup.running(instance, request, progress, interruption) as settings, failures.kept():
-        _run_client(instance, program, measurements, interruption)
+        _run_client(instance, [program, "--json", measurements, *_told(robot, out)], interruption)
         demonstration.walk(instance, order, progress, interruption)
     made = demonstration.draw(_drawings(bag, settings.robot, out), failures, progress, interruption)
     demonstration.tell([bag, measurements, *made], progress)
@@ -80,11 +84,23 @@ def _drawings(bag: Path, robot_folder: Path, out: Path) -> list[demonstration.Dr
     ]
 
 
-def _run_client(instance: Instance, program: Path, measurements: Path, interruption: Interruption) -> None:
+def _told(robot: RobotDescription, out: Path) -> list[str | Path]:
+    """What the client reaches for where the names of an arm's joints do not say it: presets of the robot's."""
+    presets = robot.tables.arm_presets
+    postures = {told: presets[name]["right"] for told, name in POSTURES.items() if "right" in presets.get(name, {})}
+    if len(postures) < len(POSTURES):
+        return []
+    file = out / "demo_postures.json"
+    file.write_text(json.dumps(postures, indent=2) + "\n")
+    return ["--postures", file]
+
+
+def _run_client(instance: Instance, words: list[str | Path], interruption: Interruption) -> None:
     """Run the client as anybody's program would run: with the instance's environment and nothing else of ours."""
+    program = Path(words[0])
     # A session of its own: Ctrl-C comes to us alone, and we end it in good order.
     client = subprocess.Popen(
-        [sys.executable, str(program), "--json", str(measurements)],
+        [sys.executable, *map(str, words)],
         env=os.environ | instance.environment(),
         start_new_session=True,
     )

@@ -19,7 +19,6 @@ from valor.valorctl.step_planner import Middle, plan_to
 
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 ODOM = "odom"
-SOLES = ("l_sole", "r_sole")
 
 _TF_TIMEOUT = 10.0  # until the soles are known [s]
 _SLOWEST_CLOCK = 0.1  # real-time factor below which a plan is given up
@@ -137,7 +136,7 @@ def _run(
 
     robot = RobotDescription.load(instance.settings().robot)
     with RosClient(instance, check) as ros:
-        tf = _Tf(ros)
+        tf = _Tf(ros, robot)
         start = tf.soles()
         steps = make(start, robot)
         to_odom = middle(*start) if frame == START else tf.frame(frame)
@@ -182,11 +181,13 @@ def _execute(ros: Any, steps: Sequence[PlanStep], planned: Sequence[tuple[int, P
 class _Tf:
     """Where frames are, by ROS."""
 
-    def __init__(self, ros: Any) -> None:
+    def __init__(self, ros: Any, robot: RobotDescription) -> None:
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from tf2_msgs.msg import TFMessage
 
         self._ros = ros
+        feet = robot.tables.feet
+        self._soles = robot.frame_of(feet.left.sole), robot.frame_of(feet.right.sole)
         self._buffer = TransformBuffer()
         self._heard = 0
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -221,12 +222,12 @@ class _Tf:
 
         def known() -> bool:
             try:
-                for name in SOLES:
+                for name in self._soles:
                     self._buffer.lookup(ODOM, name)
             except TransformError:
                 return False
             return True
 
-        self._ros.wait(known, _TF_TIMEOUT, f"tf does not know {' and '.join(SOLES)} in {ODOM}")
-        left, right = (self._buffer.lookup(ODOM, name) for name in SOLES)
+        self._ros.wait(known, _TF_TIMEOUT, f"tf does not know {' and '.join(self._soles)} in {ODOM}")
+        left, right = (self._buffer.lookup(ODOM, name) for name in self._soles)
         return left, right

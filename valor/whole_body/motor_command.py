@@ -51,7 +51,7 @@ class MotorCommand:
         self.force: Joints = control == "force"
         self.impedance: Joints = control == "impedance"
         self._compliant: Joints = self.force | self.impedance
-        moved = [robot.index[name] for group in WHOLE_BODY_GROUPS for name in robot.tables.groups[group]]
+        moved = [robot.index[name] for group in WHOLE_BODY_GROUPS for name in robot.tables.group(group)]
         self._led: Joints = self._compliant.copy()  # by the Whole-Body Controller
         self._led[moved] = True
         self._limits = CommandedLimits.of_joints(robot)

@@ -78,7 +78,7 @@ class Hdt(Device):
         self._limbs: list[_Limb] = []
         for limb in table.limbs:
             first = self._limbs[-1].part.stop if self._limbs else 0
-            joints = tuple(robot.tables.groups[limb.group])
+            joints = tuple(robot.tables.group(limb.group))
             self._limbs.append(_Limb(self._node, limb, joints, slice(first, first + len(joints)), table.rate))
         self.records = tuple(limb.record for limb in self._limbs)
         self.rate = table.rate / max(limb.every for limb in table.limbs)

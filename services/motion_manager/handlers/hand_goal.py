@@ -14,7 +14,7 @@ from valor.common.rotation import NORM
 from valor.common.topics import HAND_GOAL
 from valor.motion_manager.handlers.handler import Handler, pose, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
-from valor.motion_manager.hands.hand_goals import HandGoal, HandGoals
+from valor.motion_manager.hands.hand_goals import SIDES, HandGoal, HandGoals
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 
@@ -42,6 +42,8 @@ class HandGoalHandler(Handler[HandGoalMessage]):
         message = received.message
         if message.hand not in (0, 1):
             raise RefusalError("hand", f"hand {message.hand}; expected 0 (left) or 1 (right)")
+        if message.hand not in self._goals.sides:
+            raise RefusalError("hand", f"this robot has no {SIDES[message.hand]} hand on an arm")
         if not message.active:
             self._goals.release(message.hand, f"let go by {received.origin}")
             return

@@ -12,6 +12,7 @@ for goals in odom, where the pelvis is.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -22,12 +23,14 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
 from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
 from valor.robot.commanded_limits import CommandedLimits
+from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.robot.tables import Hand, Side
 from valor.whole_body.model.dynamics import ModelJoints
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import HandMotion, Tuning
 
-SIDES = ("left", "right")
+SIDES: tuple[Side, Side] = ("left", "right")
 GRACE = 0.05  # from a goal to its first motion, in which others learn that the arm is led by it [s]
 APPROACH = 2.0  # speed per distance from the goal [1/s]
 POSTURE = 0.3  # rate per distance from the nominal posture, where it does not move the hand [1/s]
@@ -48,7 +51,7 @@ class HandGoal:
 
 
 class HandGoals:
-    """Both arms.
+    """Both arms; a robot that lacks one has it led nowhere.
 
     Attributes:
         changes: how often a hand's ``status`` changed other than by its errors.
@@ -66,7 +69,7 @@ class HandGoals:
         data = mujoco.MjData(model.mj)
         data.qpos[:] = 0.0
         data.qpos[3] = 1.0
-        self._arms = [_Arm(model, data, side, nominal) for side in SIDES]
+        self._arms = {side: _Arm(model, data, hand, SIDES[side], nominal) for side, hand in _led(model.robot)}
         self._model, self._data = model.mj, data
         self._reference = reference
         self.changes = 0
@@ -74,16 +77,20 @@ class HandGoals:
     @property
     def active(self) -> bool:
         """Whether any arm is led by a goal."""
-        return self._arms[0].goal is not None or self._arms[1].goal is not None
+        return any(arm.goal is not None for arm in self._arms.values())
+
+    @property
+    def sides(self) -> Iterable[int]:
+        """0 left, 1 right: the hands that goals may lead."""
+        return self._arms
 
     def leads(self, side: int) -> bool:
         """Whether a goal leads an arm."""
-        return self._arms[side].goal is not None
+        return side in self._arms and self._arms[side].goal is not None
 
     def moves(self, side: int, now: float) -> bool:
         """Whether set-points of an arm are refused at robot time ``now`` [s], for a goal moves it."""
-        arm = self._arms[side]
-        return arm.goal is not None and now >= arm.begins
+        return self.leads(side) and now >= self._arms[side].begins
 
     def lead(self, side: int, goal: HandGoal, now: float) -> None:
         """Move a hand to a goal, instead of the one it has."""
@@ -104,8 +111,8 @@ class HandGoals:
         self._say(arm, "idle")
 
     def release_all(self, reason: str) -> None:
-        """Likewise both."""
-        for side in range(len(SIDES)):
+        """Likewise all."""
+        for side in self._arms:
             self.release(side, reason)
 
     def advance(self, state: RobotState, now: float, dt: float) -> None:
@@ -113,7 +120,7 @@ class HandGoals:
         if not self.active:
             return
         self._data.qpos[7:] = self._reference.position[self._places]
-        for arm in self._arms:
+        for arm in self._arms.values():
             if arm.goal is not None and now >= arm.begins:
                 self._advance(arm, state, now, dt)
 
@@ -161,17 +168,24 @@ class HandGoals:
             self.changes += 1
 
 
+def _led(robot: RobotDescription) -> Iterator[tuple[int, Hand]]:
+    """Which hand it is (0 left, 1 right), and its table: of those that an arm carries."""
+    for side, hand in robot.tables.hands.present():
+        if robot.tables.group(f"{side}_arm"):
+            yield SIDES.index(side), hand
+
+
 class _Arm:
     """One arm, and what became of its goal."""
 
-    def __init__(self, model: Model, data: mujoco.MjData, side: str, nominal: FloatArray) -> None:
+    def __init__(self, model: Model, data: mujoco.MjData, hand: Hand, side: Side, nominal: FloatArray) -> None:
         robot = model.robot
         self.side = side
         self.joints = robot.group_indices(f"{side}_arm")
         dof = ModelJoints(model).group(f"{side}_arm")
         self.qpos, self._dof = 7 + dof, 6 + dof
         self._table: HandMotion = robot.read(Tuning).hand_goals
-        self._site = model.site(getattr(robot.tables.hands, side).site)
+        self._site = model.site(hand.site)
         self._place: FloatArray = data.site_xpos[self._site]
         self._turn: FloatArray = data.site_xmat[self._site].reshape(3, 3)
         self._jacobian = np.zeros((6, model.mj.nv))

@@ -52,6 +52,7 @@ class Conditions:
     not_upright: str = ""  # the pelvis is tilted
     stepping: str = ""  # a step has not come to rest yet
     cannot_get_up: str = ""  # the robot has no way up from where it lies
+    nothing_to_lead: str = ""  # it has neither arms nor hands nor a waist
 
 
 GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ...]] = {
@@ -62,6 +63,9 @@ GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ..
     ),
     (Behavior.STAND, Behavior.STAND_PREP): (lambda conditions: conditions.stepping,),
     (Behavior.STAND, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
+    (Behavior.STAND, Behavior.STAND_MANIPULATE): (lambda conditions: conditions.nothing_to_lead,),
+    (Behavior.STEP, Behavior.STEP_MANIPULATE): (lambda conditions: conditions.nothing_to_lead,),
+    (Behavior.WALK, Behavior.WALK_MANIPULATE): (lambda conditions: conditions.nothing_to_lead,),
     (Behavior.STAND_MANIPULATE, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
     (Behavior.SOFT_STOP, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
     (Behavior.FALL, Behavior.GET_UP): (lambda conditions: conditions.cannot_get_up,),

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
-from msgspec import Meta, field
+from msgspec import Meta, field, structs
 
 from valor.common.arrays import FloatArray
 from valor.common.table import NonNegative, Positive, Table, read
+from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
+from valor.valor_ros_controller.valor_escher_hw_interface import PELVIS
 
 FILE = Path(__file__).parent.parent / "controllers.yaml"
 
@@ -54,6 +56,9 @@ class TrackingControllerConfig(Table):
     goals: str
 
 
+C = TypeVar("C", TrajectoryControllerConfig, TrackingControllerConfig)
+
+
 class ControllersTable(Table):
     """``controllers.yaml``."""
 
@@ -72,6 +77,33 @@ class ControllersTable(Table):
             ConfigurationError: the file or a key is missing or wrong.
         """
         return read(cls, file)
+
+    def of(self, robot: RobotDescription) -> Self:
+        """Those whose limb a robot has: a controller of no joints is none."""
+
+        def there(controllers: dict[str, C]) -> dict[str, C]:
+            return {
+                name: config
+                for name, config in controllers.items()
+                if any(group == PELVIS or robot.tables.group(group) for group in config.groups)
+            }
+
+        return structs.replace(
+            self,
+            joint_controllers=there(self.joint_controllers),
+            tracking_controllers=there(self.tracking_controllers),
+            robot_controllers=there(self.robot_controllers),
+        )
+
+    @property
+    def manipulate(self) -> bool:
+        """Whether any of them leads arms, hands or waist."""
+        return any("manipulation" in config.accepted_when for config in self.joint_controllers.values())
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Of all controllers."""
+        return frozenset((*self.joint_controllers, *self.tracking_controllers, *self.robot_controllers))
 
 
 @dataclass(frozen=True)

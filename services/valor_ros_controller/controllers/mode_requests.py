@@ -76,6 +76,8 @@ def admit(table: ControlModeTable, requested: str, current: str, under_way: str)
     if name not in modes:
         reason = f"no such mode; expected one of {', '.join(modes)}"
         raise ModeRefusedError(ModeStatus.ERR_INVALID_BEHAVIOR_MODE, reason)
+    if modes[name].lacking:
+        raise ModeRefusedError(ModeStatus.ERR_INVALID_BEHAVIOR_MODE, modes[name].lacking)
     if under_way and not (modes[name].preempts and under_way != name):
         raise ModeRefusedError(ModeStatus.ERR_PRIOR_COMMAND_IN_PROGRESS, f"the change to {under_way} is under way")
     # Of a change under way nobody knows how far it is.

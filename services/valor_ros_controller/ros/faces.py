@@ -63,7 +63,7 @@ class Faces:
             soft_stop=lambda: core.mode_controller.request(ControlMode.SOFT_STOP),
             refusal=refusal,
         )
-        self._motion = MotionStatePublisher(node, stamp, rate)
+        self._motion = MotionStatePublisher(node, context.robot.tables.hands, stamp, rate)
         self._status = RobotStatusPublisher(node, core.interface)
         self._modes = ControlModeAction(node, core.mode_controller, stamp)
         self._joint_states = self._open_controllers()

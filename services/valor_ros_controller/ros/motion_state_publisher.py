@@ -11,6 +11,7 @@ from valor_msgs.msg import MotionState as RosMotionState
 
 from bifrost import Received
 from valor.common.messages import MotionState
+from valor.robot.tables import Hands
 from valor.valor_ros_controller.ros.node import LATCHED
 from valor.valor_ros_controller.ros.transforms import ODOM
 from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
@@ -28,11 +29,12 @@ class MotionStatePublisher:
     also when the behavior changes, latched.
     """
 
-    def __init__(self, node: Node, stamp: Time, rate: float) -> None:
+    def __init__(self, node: Node, hands: Hands, stamp: Time, rate: float) -> None:
         """Make publishers and messages.
 
         Args:
             node: the ROS node.
+            hands: that the robot has; of others nothing is said.
             stamp: robot time, kept up to date by its owner.
             rate: of the update loop [Hz].
         """
@@ -44,7 +46,11 @@ class MotionStatePublisher:
             message = PointStamped()
             message.header.stamp, message.header.frame_id = stamp, ODOM
             self._points.append((node.create_publisher(PointStamped, f"/flor/state/{name}", 5), message))
-        self._contacts = [node.create_publisher(Bool, f"/flor/{limb}/contact", LATCHED) for limb in TOUCHING]
+        there = (True, True, hands.left is not None, hands.right is not None)
+        self._contacts = [
+            node.create_publisher(Bool, f"/flor/{limb}/contact", LATCHED) if has else None
+            for limb, has in zip(TOUCHING, there, strict=True)
+        ]
         self._touching: list[int | None] = [None] * len(TOUCHING)
         self._state = TwinPublisher(node, RosMotionState, "/flor/controller/motion_state", LATCHED)
         self._behavior = ""
@@ -57,7 +63,7 @@ class MotionStatePublisher:
         touching = motion.contacts.tolist() + motion.hand_contacts.tolist()
         if touching != self._touching:
             for publisher, before, now in zip(self._contacts, self._touching, touching, strict=True):
-                if before != now:
+                if publisher and before != now:
                     publisher.publish(Bool(data=bool(now)))
             self._touching = touching
         self._cycle += 1

@@ -139,9 +139,11 @@ class Publisher:
         def prepared(topic: str, message: object, count: int) -> PreparedPublisher:
             return PreparedPublisher(node, topic, message, count, stamp=stamp, queue=QUEUE)
 
-        def wrenches(name: str, sites: tuple[str, str]) -> list[PreparedPublisher]:
-            frames = map(tree.frame_of, sites)
-            return [prepared(topic, _wrench(frame), 6) for topic, frame in zip(TOPICS[name], frames, strict=True)]
+        def wrenches(name: str, sites: list[str] | list[str | None]) -> list[PreparedPublisher | None]:
+            return [
+                None if site is None else prepared(topic, _wrench(tree.frame_of(site)), 6)
+                for topic, site in zip(TOPICS[name], sites, strict=True)
+            ]
 
         tables = robot.tables
         (joints_topic,), (imu_topic,), (pose_topic, odom_topic) = (TOPICS[name] for name in ("joints", "imu", "pelvis"))
@@ -153,8 +155,9 @@ class Publisher:
         self._joints = prepared(joints_topic, _joint_states(robot), 3 * len(robot.joints))
         self._joint_vectors = self._joints.values.reshape(3, -1)
         self._imu = prepared(imu_topic, _imu(tree.frame_of(tables.imu.site), noise), 10)
-        self._feet = wrenches("feet", (tables.feet.left.sole, tables.feet.right.sole))
-        self._hands = wrenches("hands", (tables.hands.left.site, tables.hands.right.site))
+        self._feet = wrenches("feet", [tables.feet.left.sole, tables.feet.right.sole])
+        hands = (tables.hands.left, tables.hands.right)
+        self._hands = wrenches("hands", [None if hand is None else hand.site for hand in hands])
         self._pose = prepared(pose_topic, _pelvis_pose(), 7)
         self._odom = prepared(odom_topic, _odometry(tree.base_frame, noise), 22)
         self._transforms = TransformPublisher(node, tree, robot, stamp)
@@ -219,10 +222,11 @@ class Publisher:
         self._publish_wrenches(self._hands, measured.left_hand_wrench, measured.right_hand_wrench)
 
     @staticmethod
-    def _publish_wrenches(publishers: list[PreparedPublisher], *wrenches: FloatArray) -> None:
+    def _publish_wrenches(publishers: list[PreparedPublisher | None], *wrenches: FloatArray) -> None:
         for publisher, wrench in zip(publishers, wrenches, strict=True):
-            publisher.values[:] = wrench
-            publisher.publish()
+            if publisher is not None:
+                publisher.values[:] = wrench
+                publisher.publish()
 
     def _publish_pelvis(self, hw: ValorEscherHWInterface) -> None:
         motion = hw.motion

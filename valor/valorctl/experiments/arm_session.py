@@ -1,4 +1,4 @@
-"""The robot's right arm and neck through predefined configurations, recorded (thesis 4.3.3).
+"""The robot's right arm, and its neck if it has one, through predefined configurations, recorded (thesis 4.3.3).
 
 Three experiments look at the same motions: the joints' signals, the hand's pose, and the time that commands take.
 """
@@ -61,13 +61,15 @@ def record(
         with join(run.instance, "experiment") as node:
             devices = _Devices(description, PROPRIOCEPTOR.subscriber(node), run)
             control_mode.enter(run.instance, MODE, run.interruption.check)
-            yaw, *others = description.tables.groups[NECK]
-            for look in LOOKS[-1:] if quick else LOOKS:
-                target = {yaw: look, **dict.fromkeys(others, 0.0)}
-                motions.append(devices.move(f"look {look:+.1f} rad", NECK, target))
+            if neck := description.tables.group(NECK):
+                yaw, *others = neck
+                for look in LOOKS[-1:] if quick else LOOKS:
+                    target = {yaw: look, **dict.fromkeys(others, 0.0)}
+                    motions.append(devices.move(f"look {look:+.1f} rad", NECK, target))
             presets = description.tables.arm_presets
-            wrist = description.tables.groups[ARM][-1]
-            for name in POSES[:2] if quick else POSES:
+            wrist = description.tables.group(ARM)[-1]
+            poses = [name for name in POSES if "right" in presets.get(name, {})]
+            for name in poses[:2] if quick else poses:
                 target = presets[name]["right"] | ({} if name == "home" else {wrist: TURNED})
                 motions.append(devices.move(name, ARM, target))
     timeline = Timeline(motions)
@@ -87,7 +89,7 @@ class _Devices:
         self._run.progress.waiting(f"{group.replace('_', ' ')}: {name}")
         now = self._newest()
         start = dict(zip(self._robot.joints, now.joint_position.tolist(), strict=True))
-        goal = {joint: float(target.get(joint, start[joint])) for joint in self._robot.tables.groups[group]}
+        goal = {joint: float(target.get(joint, start[joint])) for joint in self._robot.tables.group(group)}
         duration = arm_motion.trajectory_duration(self._robot, start, goal, SPEED)
         # Errors are what is measured: none of them ends a motion.
         arm_motion.follow(self._run.instance, group, goal, duration, self._run.interruption.check, tolerant=True)

@@ -13,7 +13,9 @@ from pathlib import Path
 from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Recording, Settings
-from valor.valorctl import startup
+from valor.common.resources import robot_folder
+from valor.robot.description import RobotDescription
+from valor.valorctl import arm_motion, startup
 from valor.valorctl.console import Progress
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.interruption import Interruption
@@ -103,6 +105,7 @@ class Experiment:
     title: str
     reproduces: str
     run: Callable[[Run], None]
+    needs: tuple[str, ...] = ()  # groups of robot.yaml that must have joints
 
     def perform(
         self, instance: Instance, options: Options, progress: Progress, interruption: Interruption
@@ -130,6 +133,9 @@ class Experiment:
                  f"--actuators {options.actuators}", f"--robot {options.robot}"]  # fmt: skip
         command = " ".join(words)
         try:
+            if self.needs:
+                robot = RobotDescription.load(robot_folder(options.robot))
+                arm_motion.require_limbs(robot, f"experiment {self.name}", *self.needs)
             self.run(run)
         except Exception as error:
             known = isinstance(error, ValorError)

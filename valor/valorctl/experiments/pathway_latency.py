@@ -137,7 +137,7 @@ def _record(run: Run, bag: Path, profile: str) -> RobotDescription:
                 ros.wait(lambda mode=mode: mode in told, PATIENCE, f"control mode {mode} is not reported")  # type: ignore[misc]
                 time_passes.rest(REST)
             run.progress.done(f"{profile}: {changes} mode changes")
-            joints = robot.tables.groups["right_arm"]
+            joints = robot.tables.group("right_arm")
             home = np.array([robot.nominal_posture[robot.index[joint]] for joint in joints])
             commands = QUICK_COMMANDS if quick else COMMANDS
             for i in range(commands):

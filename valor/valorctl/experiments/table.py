@@ -13,14 +13,15 @@ from valor.valorctl.experiments import end_effector, ipc_latency, pathway_latenc
 from valor.valorctl.experiments.experiment import Experiment, Options
 from valor.valorctl.interruption import InterruptedBySignalError, Interruption
 
+ARM = ("right_arm",)
 # fmt: off
 EXPERIMENTS: tuple[Experiment, ...] = (
-    #          name             title                            reproduces               runs
+    #          name             title                            reproduces               runs, needs
     Experiment("process-stats", "What the processes cost",       "Table 5.1",             process_stats.run),
     Experiment("ipc-latency",   "What a message costs",          "Figure 5.1, Table 5.2", ipc_latency.run),
-    Experiment("pathway-latency", "How long commands and states take", "Figures 5.2, 5.3", pathway_latency.run),
-    Experiment("tracking",      "How the joints follow",         "Figures 5.4–5.6",       tracking.run),
-    Experiment("end-effector",  "Where the hand ends",           "Figures 5.7–5.15",      end_effector.run),
+    Experiment("pathway-latency", "How long commands and states take", "Figures 5.2, 5.3", pathway_latency.run, ARM),
+    Experiment("tracking",      "How the joints follow",         "Figures 5.4–5.6",       tracking.run, ARM),
+    Experiment("end-effector",  "Where the hand ends",           "Figures 5.7–5.15",      end_effector.run, ARM),
 )
 # fmt: on
 

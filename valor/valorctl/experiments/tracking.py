@@ -28,7 +28,7 @@ def run(run: Run) -> None:
     finals = [abs(one.final_error(timeline)) for one in arm]
     responses = [one.response for one in arm]
     run.measures += [
-        Measure("neck yaw at rest from its goal", abs(look.final_error(timeline)), "rad"),
+        *([Measure("neck yaw at rest from its goal", abs(look.final_error(timeline)), "rad")] if look else []),
         Measure("arm joint at rest from its goal, largest", max(finals), "rad", "near 0 (simulation)",
                 "the same: joints reach what they are asked for"),
         Measure("arm joint from its set-point, largest", max(one.largest_error() for one in arm), "rad"),
@@ -56,16 +56,18 @@ def run(run: Run) -> None:
 
 def _session(
     run: Run, name: str, suffix: str, actuators: str | None
-) -> tuple[JointSignals, list[JointSignals], Timeline]:
-    """Record the motions; leave figures and CSV. Returns the signals of neck yaw and arm, and what was asked."""
+) -> tuple[JointSignals | None, list[JointSignals], Timeline]:
+    """Record the motions; leave figures and CSV. Returns signals of neck yaw, if any, and arm, and what was asked."""
     bag = run.out / f"{name}.mcap"
     timeline, robot = arm_session.record(run, bag, actuators=actuators)
     run.progress.waiting("reading the joints' signals")
     recording = Recording(Bag(bag), robot)
-    look = JointSignals.of(recording, timeline, robot.tables.groups[arm_session.NECK][0])
-    arm = [JointSignals.of(recording, timeline, joint) for joint in robot.tables.groups[arm_session.ARM]]
+    yaw = robot.tables.group(arm_session.NECK)[:1]
+    look = JointSignals.of(recording, timeline, yaw[0]) if yaw else None
+    arm = [JointSignals.of(recording, timeline, joint) for joint in robot.tables.group(arm_session.ARM)]
+    signals = [look, *arm] if look else arm
     rows = []
-    for one in (look, *arm):
+    for one in signals:
         response = one.response
         rows.append([one.joint, f"{one.largest_error():.4f}", f"{one.final_error(timeline):+.4f}",
                      f"{1e3 * response.seconds:.1f}" if response else "–"])  # fmt: skip
@@ -73,9 +75,9 @@ def _session(
         Table(f"Joint by joint{suffix}", ["joint", "largest from set-point [rad]", "at rest from goal [rad]",
                                           "encoder after command [ms]"], rows)
     )  # fmt: skip
-    run.files.append(_write_csv((look, *arm), run.out / f"{name}.csv"))
+    run.files.append(_write_csv(signals, run.out / f"{name}.csv"))
     run.progress.waiting("drawing")
-    if not suffix:
+    if look and not suffix:
         run.picture([neck(recording, look, run.out / f"{name}_neck_yaw.png")], "Neck yaw.", "Figure 5.4")
     quantities: tuple[tuple[Quantity, str], ...] = (("position", "Figure 5.5"), ("velocity", "Figure 5.6"))
     for quantity, figure in quantities:
