@@ -90,7 +90,7 @@ ROBOT: dict[str, Mutant] = {
     ),
     "a group missing": Mutant(("  neck: [neck_yaw, neck_pitch]\n", ""), "joints.neck_yaw", "in no group"),
     "a leg's group missing": Mutant((f"  left_leg: [{LEFT_LEG}]\n", ""), "groups.left_leg", "missing"),
-    "a group misspelt": Mutant(("  torso: [waist_yaw]", "  trunk: [waist_yaw]"), "groups.torso", "expected waist_yaw"),
+    "a group misspelt": Mutant(("  torso: [waist_yaw]", "  trunk: [waist_yaw]"), "groups.torso", "missing"),
     "a group with an unknown joint": Mutant(("[neck_yaw,", "[neck,"), "groups.neck.0", "got 'neck'"),
     "the waist in an arm": Mutant(
         (("torso: [waist_yaw]", "torso: []"), ("left_arm: [", "left_arm: [waist_yaw, ")), "devices.legs", "waist_yaw"

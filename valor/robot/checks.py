@@ -112,7 +112,9 @@ def torso_is_below_the_chest(stance: Stance) -> Iterator[TableError]:
 
 
 def _differing(stance: Stance, group: str, chain: list[str]) -> Iterator[TableError]:
-    if odd := sorted(set(stance.robot.tables.group(group)) ^ set(chain)):
+    if chain and group not in stance.robot.tables.groups:
+        yield TableError(("groups", group), f"missing; expected {', '.join(chain)}")
+    elif odd := sorted(set(stance.robot.tables.group(group)) ^ set(chain)):
         yield TableError(("groups", group), f"expected {', '.join(chain) or 'none'}; in one of both only: {odd}")
 
 
