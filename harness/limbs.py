@@ -37,8 +37,8 @@ def cut(robot: RobotDescription, folder: Path, *groups: str) -> RobotDescription
     joints = {joint.name for joint in spec.joints}
     content = plain(robot.tables)
     _keep(content, joints)
-    groups = {name: [each for each in members if each in joints] for name, members in content["groups"].items()}
-    content["groups"] = {name: members for name, members in groups.items() if members}
+    members_left = {name: [each for each in members if each in joints] for name, members in content["groups"].items()}
+    content["groups"] = {name: members for name, members in members_left.items() if members}
     if content["head"] not in bodies:
         del content["head"]
     for side in ("left", "right"):

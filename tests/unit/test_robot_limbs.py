@@ -42,7 +42,7 @@ LIMBS = {
 SPEED = 0.25  # [m/s]
 
 
-@pytest.fixture(scope="module", params=LIMBS.values(), ids=LIMBS.keys())
+@pytest.fixture(scope="module", params=list(LIMBS.values()), ids=list(LIMBS))
 def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
     return cut(ESCHER, tmp_path_factory.mktemp("robot"), *request.param)
 
@@ -117,7 +117,8 @@ def test_where_nothing_can_be_led_nobody_manipulates(legs: RobotDescription) -> 
 
 def test_controllers_are_made_of_joints_that_there_are(robot: RobotDescription) -> None:
     made = core(robot)
-    named = {controller.name: controller for controller in (*made.trajectories.values(), *made.tracking.values())}
+    named: dict[str, Any] = dict(made.trajectories)
+    named |= made.tracking
     assert all(controller.joints.size for controller in named.values())
     groups = {group for group, joints in robot.tables.groups.items() if joints and f"{group}_traj_controller" in
               core(ESCHER).table.names}  # fmt: skip

@@ -8,6 +8,7 @@ import numpy as np
 
 from valor.robot.checks import SIDES, Stance
 from valor.robot.description import RobotDescription
+from valor.robot.legs import knees
 
 
 class Legs:
@@ -20,12 +21,10 @@ class Legs:
 
     def __init__(self, robot: RobotDescription) -> None:
         stance = Stance(robot)
-        lengths, knees = [], []
+        lengths = []
         for side in SIDES:
-            hip, knee, *ankle = stance.pitch_joints(side)
-            anchors = [stance.data.joint(name).xanchor for name in (hip, knee, *ankle)]
+            anchors = [stance.data.joint(name).xanchor for name in stance.pitch_joints(side)]
             bones = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(anchors))
             lengths.append(bones + float(anchors[-1][2] - stance.site(stance.foot(side).sole)[0][2]))
-            knees.append(robot.index[knee])
         self.length = min(lengths)
-        self.knees = np.array(knees)
+        self.knees = knees(robot).places

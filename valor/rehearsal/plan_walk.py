@@ -17,15 +17,9 @@ from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.rehearsal.closed_loop import ClosedLoop
-from valor.rehearsal.legs import Legs
 from valor.robot.description import RobotDescription
-<<<<<<< HEAD:valor/rehearsal/plan_walk.py
 from valor.robot.footsteps import FEET
-=======
 from valor.robot.legs import knees
-from valor.valorctl.step_plan import FEET, PlanStep
-from valor.valorctl.step_planner import middle
->>>>>>> fabdf75 (feat(robot): head, hands, arms and waist are optional; knees and twins by geometry and groups, never by names):harness/plan_walk.py
 from valor.whole_body.walking.gait import sole_poses
 from valor.whole_body.walking.step_queue import StepQueue
 from valor.whole_body.walking.swing import SolePose
@@ -125,22 +119,14 @@ def take_plan(loop: ClosedLoop, steps: Sequence[PlannedStep]) -> Walked:
     loop.controller.step_source = queue
     began, landed, landing = loop.time, -1, (0.0, 0.0)
     errors: list[np.ndarray] = []
-<<<<<<< HEAD:valor/rehearsal/plan_walk.py
-    knees = Legs(robot).knees
-=======
     bent = knees(robot)
->>>>>>> fabdf75 (feat(robot): head, hands, arms and waist are optional; knees and twins by geometry and groups, never by names):harness/plan_walk.py
     knee = math.inf
 
     def go_on() -> None:
         nonlocal knee
         loop.step()
         errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)
-<<<<<<< HEAD:valor/rehearsal/plan_walk.py
-        knee = min(knee, float(np.abs(loop.plant.joint_position[knees]).min()))
-=======
         knee = min(knee, float(bent.flexion(loop.plant.joint_position).min()))
->>>>>>> fabdf75 (feat(robot): head, hands, arms and waist are optional; knees and twins by geometry and groups, never by names):harness/plan_walk.py
 
     while queue.running and loop.fall is None and loop.time - began < STEP_DURATION * len(steps):
         go_on()
