@@ -41,6 +41,7 @@ from valor.valorctl.step_plan import FEET, PlanStep
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
 ROBOT = RobotDescription.load(ROBOTS / "escher")
+SOLES = tuple(ROBOT.frame_of(foot.sole) for foot in (ROBOT.tables.feet.left, ROBOT.tables.feet.right))  # in tf
 PROCESSES = ("comms_manager", "motion_manager", "valor_ros_controller", "footstep_converter")
 LIMIT = 120.0  # for anything to happen on a loaded machine that the robot has no part in [s]
 PATIENCE = 60.0  # for what the robot does [robot time, s]
@@ -151,7 +152,8 @@ class Walker:
             for data in self._newest:
                 self._hear(deserialize_message(data, TFMessage), static=False)
             try:
-                return self._tf.lookup("odom", "l_sole"), self._tf.lookup("odom", "r_sole")
+                left, right = (self._tf.lookup("odom", sole) for sole in SOLES)
+                return left, right
             except TransformError:
                 return None
 
