@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
@@ -64,14 +66,33 @@ def scene_spec(robot: RobotDescription, width: int, height: int, world: str, see
 class Scene:
     """Draws one robot in its world, posture by posture.
 
+    Args:
+        robot: the robot.
+        width, height: of the images [pixels].
+        world: where it stands.
+        seed: of the world.
+        add: what else is drawn: adds it to the scene before that is compiled.
+
     Raises:
         RenderingError: there is no off-screen OpenGL here; names what to install.
         ConfigurationError: there is no such world.
     """
 
-    def __init__(self, robot: RobotDescription, width: int, height: int, world: str = "flat", seed: int = 0) -> None:
+    def __init__(
+        self,
+        robot: RobotDescription,
+        width: int,
+        height: int,
+        world: str = "flat",
+        seed: int = 0,
+        *,
+        add: Callable[[mujoco.MjSpec], None] | None = None,
+    ) -> None:
         large = (width * _SUPERSAMPLING, height * _SUPERSAMPLING)
-        self._model = Model(robot, scene_spec(robot, *large, world, seed).compile())
+        spec = scene_spec(robot, *large, world, seed)
+        if add is not None:
+            add(spec)
+        self._model = Model(robot, spec.compile())
         self._data = mujoco.MjData(self._model.mj)
         self._offscreen = Offscreen(self._model.mj, *large)
         self._camera = mujoco.MjvCamera()

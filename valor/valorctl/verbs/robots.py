@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -32,6 +33,35 @@ def check(named: Named) -> None:
 
     require_sound(robot_folder(named))
     say(f"{named}: sound")
+
+
+@robot.command()
+def new(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF; it stays as it is.")],
+    *,
+    name: Annotated[str | None, typer.Option(help="Of the robot; asked for unless given.")] = None,
+    out: Annotated[Path | None, typer.Option(help="The robot's folder; one of its name, here, unless given.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take the guesses.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a robot's folder that is there.")] = False,
+) -> None:
+    """Make a robot's folder of its model; what cannot be found out there is asked."""
+    from valor.valorctl import robot_making
+
+    robot_making.make(model, name, out, guess=yes, replace=force)
+
+
+@robot.command()
+def show(
+    named: Named,
+    *,
+    out: Annotated[Path | None, typer.Option(help="The picture, .png; NAME.png, here, unless given.")] = None,
+) -> None:
+    """Draw a robot: joints' axes, soles, shapes that touch, centre of mass, and how far its joints go."""
+    from valor.analysis import robot_picture
+    from valor.robot.description import RobotDescription
+
+    described = RobotDescription.load(robot_folder(named))
+    say(str(robot_picture.draw(described, out or Path(f"{described.name}.png"))))
 
 
 @robot.callback()

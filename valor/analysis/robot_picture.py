@@ -1,0 +1,200 @@
+"""A robot on one page: as one sees it, what is inside, its feet from above, and how far its joints go."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Polygon
+from scipy.spatial import ConvexHull
+
+from valor.analysis import style
+from valor.analysis.offscreen import Image
+from valor.analysis.recording import Posture
+from valor.analysis.scene import Scene
+from valor.common.arrays import FloatArray
+from valor.common.errors import ValorError
+from valor.robot.description import RobotDescription
+from valor.robot.model import Model, full_model
+from valor.robot.soles import outline
+
+SIDES = ("left", "right")
+COLORS = {"x": "#d55e00", "y": "#009e73", "z": "#0072b2"}  # of joints' axes, by where they point in this posture
+COM, SOLE, SHAPE = "#e69f00", "#cc79a7", "#56b4e9"
+_DPI = 110
+_PANEL = (520, 930)  # of one view [pixels]
+_LIMITS = 7.2  # width of what stands beside the views [inches]
+_HEADER = 0.75  # [inches]
+_SEEN = 0.13  # how much of what one sees is left where one looks inside
+_VIEW = np.tan(np.deg2rad(45.0 / 2))  # half of what MuJoCo's camera sees from top to bottom, over its distance
+_WHOLE_TURN = 2 * np.pi  # how far a joint without limits is drawn to [rad]
+
+
+def draw(robot: RobotDescription, file: Path) -> Path:
+    """Write the page as a PNG; returns its path.
+
+    Raises:
+        RenderingError: there is no off-screen OpenGL here; names what to install.
+        ValorError: the file cannot be written.
+    """
+    model = full_model(robot, "all")
+    data = mujoco.MjData(model.mj)
+    data.qpos[:] = model.nominal_qpos()
+    mujoco.mj_forward(model.mj, data)
+    size = _height(model.mj, data)
+    (width, height), total = (side / _DPI for side in _PANEL), 2 * _PANEL[0] / _DPI + _LIMITS
+    figure = style.figure(total, height + _HEADER, _DPI)
+    views = (_view(robot, model, data, size, inside) for inside in (False, True))
+    for column, image in enumerate(views):
+        figure.figimage(image, xo=column * _PANEL[0], yo=0, origin="upper")
+    style.heading(
+        figure,
+        robot.name,
+        f"{len(robot.joints)} joints, {model.mj.body_mass.sum():.1f} kg; {size:.2f} m high as it stands, "
+        f"its CoM {data.subtree_com[1][2]:.2f} m",
+    )
+    marks = [style.sample(f"joint about {axis}", color, 3.0) for axis, color in COLORS.items()]
+    marks += [style.sample(name, color, 6.0) for name, color in (("sole", SOLE), ("what touches", SHAPE), ("CoM", COM))]
+    top = 1.0 - 0.30 / (height + _HEADER)
+    style.legend(figure, marks, loc="center left", bbox_to_anchor=(1.14 * width / total, top), ncols=3)
+    left, right = (2 * width + 1.75) / total, 1.0 - 1.45 / total
+    _limits(figure.add_axes((left, 0.29, right - left, 0.65)), robot)
+    _soles(figure.add_axes((left, 0.07, right - left, 0.145)), robot, model, data)
+    try:
+        return style.save(figure, file, _DPI)
+    except (OSError, ValueError) as error:
+        raise ValorError(f"{file}: the picture cannot be written: {' '.join(str(error).split())}") from None
+
+
+def _height(mj: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Of the highest point of what has a shape [m]."""
+    rotations = data.geom_xmat.reshape(-1, 3, 3)
+    centres = data.geom_xpos + np.einsum("gij,gj->gi", rotations, mj.geom_aabb[:, :3])
+    return float((centres[:, 2] + np.einsum("gj,gj->g", np.abs(rotations[:, 2]), mj.geom_aabb[:, 3:])).max())
+
+
+def _view(robot: RobotDescription, model: Model, data: mujoco.MjData, size: float, inside: bool) -> Image:
+    """As one sees it, from the front and one side; or what is inside, from the front and the other side."""
+    posture = Posture(0.0, "", data.qpos[:3].copy(), data.qpos[3:7].copy(), robot.nominal_posture)
+
+    def add(spec: mujoco.MjSpec) -> None:
+        _add_com(spec, data.subtree_com[1], size)
+        if inside:
+            _see_through(spec, model)
+            _add_axes(spec, model, data, size)
+            _add_soles(spec, robot, model, size)
+
+    with closing(Scene(robot, *_PANEL, add=add)) as scene:
+        middle = np.array([*data.subtree_com[1][:2], 0.49 * size])
+        scene.look_at(middle, 205.0 if inside else 148.0, -8.0, 0.60 * size / _VIEW)
+        return scene.draw(posture)
+
+
+def _rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
+    red, green, blue = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return red, green, blue, alpha
+
+
+def _add_com(spec: mujoco.MjSpec, com: FloatArray, size: float) -> None:
+    """A ball at the CoM, its plumb line, and where that meets the ground."""
+    seen = {"contype": 0, "conaffinity": 0, "rgba": _rgba(COM)}
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.016 * size, 0, 0], pos=com, **seen)
+    cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+    spec.worldbody.add_geom(type=cylinder, size=[0.002 * size, 0, 0], fromto=[*com, *com[:2], 0.0], **seen)
+    disc = [0.014 * size, 0.002 * size, 0]
+    spec.worldbody.add_geom(type=cylinder, size=disc, pos=[*com[:2], 0.002 * size], **seen)
+
+
+def _see_through(spec: mujoco.MjSpec, model: Model) -> None:
+    """What is seen is a veil; what touches can be seen, too."""
+    own = {model.mj.body(i).name for i in range(1, model.mj.nbody)}
+    for geom in spec.geoms:
+        if geom.parent.name not in own:
+            continue
+        if geom.contype or geom.conaffinity:
+            geom.group, geom.material, geom.rgba = 0, "", _rgba(SHAPE, 0.17)
+        else:
+            geom.material, geom.rgba = "", (*geom.rgba[:3], _SEEN)
+
+
+def _add_axes(spec: mujoco.MjSpec, model: Model, data: mujoco.MjData, size: float) -> None:
+    """A rod along each joint's axis, with a ball at its positive end."""
+    for name in model.joints:
+        joint, axis = model.mj.joint(name), np.abs(data.joint(name).xaxis)
+        look = {"contype": 0, "conaffinity": 0, "rgba": _rgba(COLORS["xyz"[int(np.argmax(axis))]])}
+        reach = 0.028 * size * joint.axis / np.linalg.norm(joint.axis)
+        body = spec.body(model.mj.body(joint.bodyid[0]).name)
+        ends = [*(joint.pos - reach), *(joint.pos + reach)]
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.0042 * size, 0, 0], fromto=ends, **look)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.0075 * size, 0, 0], pos=ends[3:], **look)
+
+
+def _add_soles(spec: mujoco.MjSpec, robot: RobotDescription, model: Model, size: float) -> None:
+    for side in SIDES:
+        foot = getattr(robot.tables.feet, side)
+        site = model.mj.site(foot.sole)
+        middle, turned = np.array([(foot.heel + foot.toe) / 2, 0.0, 0.0]), np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, middle, site.quat)
+        spec.body(model.mj.body(site.bodyid[0]).name).add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[(foot.toe - foot.heel) / 2, foot.half_width, 0.003 * size],
+            pos=site.pos + turned,
+            quat=site.quat,
+            contype=0,
+            conaffinity=0,
+            rgba=_rgba(SOLE),
+        )
+
+
+def _limits(axes: Axes, robot: RobotDescription) -> None:
+    """A bar a joint, from limit to limit, with the nominal posture; beside it what it gives, and how fast."""
+    style.quiet(axes, "Limits, and the nominal posture", "[rad]")
+    rows = [(group, joint) for group, joints in robot.tables.groups.items() for joint in joints]
+    names = [joint for _, joint in rows]
+    numbers = robot.tables.joints
+    for row, (group, name) in enumerate(rows):
+        joint, color = numbers[name], style.SERIES[list(robot.tables.groups).index(group) % len(style.SERIES)]
+        lower = -_WHOLE_TURN if joint.lower is None else joint.lower
+        upper = _WHOLE_TURN if joint.upper is None else joint.upper
+        axes.barh(row, upper - lower, left=lower, height=0.56, color=color, alpha=0.12 if joint.lower is None else 0.38)
+        nominal = robot.tables.nominal_posture.get(name, 0.0)
+        axes.plot(nominal, row, "o", color=color, markersize=4.5)
+        text = f"{joint.effort:.4g} N·m  {joint.velocity:.3g} rad/s"
+        axes.text(1.02, row, text, transform=axes.get_yaxis_transform(), fontsize=7, color=style.GREY, va="center")
+    axes.axvline(0.0, color=style.GREY, linewidth=0.8)
+    axes.set_yticks(range(len(names)), names, fontsize=min(8.0, 270.0 / len(names)))
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.grid(False, axis="y")
+
+
+def _soles(axes: Axes, robot: RobotDescription, model: Model, data: mujoco.MjData) -> None:
+    """The soles from above, forward up the page, with the CoM between them."""
+    corners = []
+    for side, color in zip(SIDES, (style.LEFT, style.RIGHT), strict=True):
+        foot = getattr(robot.tables.feet, side)
+        site = data.site(foot.sole)
+        ahead_left = np.array(outline(site.xpos, site.xmat.reshape(3, 3), foot))
+        corners.append(ahead_left[:, ::-1] * (-1.0, 1.0))
+        axes.add_patch(Polygon(corners[-1], facecolor=color, alpha=0.35, edgecolor=color))
+        axes.annotate(side, corners[-1].mean(axis=0), ha="center", va="center", fontsize=8.5, color=style.INK)
+    hull = ConvexHull(np.concatenate(corners))
+    axes.add_patch(Polygon(hull.points[hull.vertices], fill=False, edgecolor=style.GREY, linestyle=style.DASHES))
+    com = np.array([-data.subtree_com[1][1], data.subtree_com[1][0]])
+    edge = float(-(hull.equations[:, :2] @ com + hull.equations[:, 2]).max())
+    axes.plot(*com, "o", color=COM, markersize=7)
+    style.quiet(axes, "", "to the right [m]", "forward [m]")
+    axes.set_aspect("equal", anchor="W")
+    axes.margins(0.08)
+    axes.autoscale_view()
+    text = f"Soles from above\n\nThe CoM is {100 * edge:.1f} cm\ninside their hull.\n\n" + "\n".join(
+        _measures(robot, side) for side in SIDES
+    )
+    axes.text(1.06, 1.0, text, transform=axes.transAxes, fontsize=9, color=style.GREY, va="top", linespacing=1.25)
+
+
+def _measures(robot: RobotDescription, side: str) -> str:
+    foot = getattr(robot.tables.feet, side)
+    return f"{side}: {100 * (foot.toe - foot.heel):.1f} × {200 * foot.half_width:.1f} cm"
