@@ -44,10 +44,10 @@ def draw(robot: RobotDescription, file: Path) -> Path:
     data = mujoco.MjData(model.mj)
     data.qpos[:] = model.nominal_qpos()
     mujoco.mj_forward(model.mj, data)
-    size = _height(model.mj, data)
+    size, aside = _extent(model.mj, data)
     (width, height), total = (side / _DPI for side in _PANEL), 2 * _PANEL[0] / _DPI + _LIMITS
     figure = style.figure(total, height + _HEADER, _DPI)
-    views = (_view(robot, model, data, size, inside) for inside in (False, True))
+    views = (_view(robot, model, data, (size, aside), inside) for inside in (False, True))
     for column, image in enumerate(views):
         figure.figimage(image, xo=column * _PANEL[0], yo=0, origin="upper")
     style.heading(
@@ -69,15 +69,20 @@ def draw(robot: RobotDescription, file: Path) -> Path:
         raise ValorError(f"{file}: the picture cannot be written: {' '.join(str(error).split())}") from None
 
 
-def _height(mj: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Of the highest point of what has a shape [m]."""
+def _extent(mj: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, float]:
+    """Height of the highest point of what has a shape, and how far one is from the middle, seen from above [m]."""
     rotations = data.geom_xmat.reshape(-1, 3, 3)
     centres = data.geom_xpos + np.einsum("gij,gj->gi", rotations, mj.geom_aabb[:, :3])
-    return float((centres[:, 2] + np.einsum("gj,gj->g", np.abs(rotations[:, 2]), mj.geom_aabb[:, 3:])).max())
+    reach = np.einsum("gij,gj->gi", np.abs(rotations), mj.geom_aabb[:, 3:])
+    aside = np.abs(centres[:, 1] - data.subtree_com[1][1]) + reach[:, 1]
+    return float((centres[:, 2] + reach[:, 2]).max()), float(aside.max())
 
 
-def _view(robot: RobotDescription, model: Model, data: mujoco.MjData, size: float, inside: bool) -> Image:
+def _view(
+    robot: RobotDescription, model: Model, data: mujoco.MjData, extent: tuple[float, float], inside: bool
+) -> Image:
     """As one sees it, from the front and one side; or what is inside, from the front and the other side."""
+    size, aside = extent
     posture = Posture(0.0, "", data.qpos[:3].copy(), data.qpos[3:7].copy(), robot.nominal_posture)
 
     def add(spec: mujoco.MjSpec) -> None:
@@ -89,7 +94,9 @@ def _view(robot: RobotDescription, model: Model, data: mujoco.MjData, size: floa
 
     with closing(Scene(robot, *_PANEL, add=add)) as scene:
         middle = np.array([*data.subtree_com[1][:2], 0.49 * size])
-        scene.look_at(middle, 205.0 if inside else 148.0, -8.0, 0.60 * size / _VIEW)
+        scene.look_at(
+            middle, 205.0 if inside else 148.0, -8.0, max(0.60 * size, 1.4 * aside * _PANEL[1] / _PANEL[0]) / _VIEW
+        )
         return scene.draw(posture)
 
 
@@ -140,7 +147,7 @@ def _add_soles(spec: mujoco.MjSpec, robot: RobotDescription, model: Model, size:
         mujoco.mju_rotVecQuat(turned, middle, site.quat)
         spec.body(model.mj.body(site.bodyid[0]).name).add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[(foot.toe - foot.heel) / 2, foot.half_width, 0.003 * size],
+            size=[(foot.toe - foot.heel) / 2, foot.half_width, 0.005 * size],
             pos=site.pos + turned,
             quat=site.quat,
             contype=0,

@@ -43,7 +43,7 @@ class Study:
     def write(self, folder: Path) -> None:
         """Write ``model.xml``, ``robot.yaml`` and meshes into a folder that there is."""
         model_xml.write(self.content.robot, self.parts, self.content.name, folder, self.content.stance.leg_length)
-        (folder / "robot.yaml").write_text(robot_yaml.text(self.content))
+        (folder / "robot.yaml").write_text(robot_yaml.text(self.content), encoding="utf-8")
 
 
 def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = silent) -> Study:
