@@ -110,7 +110,7 @@ ROBOT: dict[str, Mutant] = {
     "the IMU on a foot": Mutant(("imu: { site: imu }", "imu: { site: l_sole }"), "imu.site", "on l_foot"),
     "no such frame": Mutant(("  l_ankle: l_foot", "  l_ankle: l_tail"), "link_frames.l_ankle", "l_tail"),
     # Keys and values.
-    "fall twice": Mutant(added("fall: { tilt: 0.6, height: 0.7, dcm_margin: 0.3 }\n"), "fall", "stands twice, in line"),
+    "footsteps twice": Mutant(added("footsteps: { max_up: 0.2 }\n"), "footsteps", "stands twice, in line"),
     "control_rate twice": Mutant(added("control_rate: 250\n"), "control_rate", "stands twice"),
     "effort twice": Mutant(
         joint(KNEE, "effort: 300", "effort: 300, effort: 3000"), "joints.l_knee_pitch.effort", "twice"
@@ -199,22 +199,26 @@ ROBOT: dict[str, Mutant] = {
     "a preset of a third side": Mutant(
         ("    left: { l_index_", "    up: { l_index_"), "hand_presets.open", "left or right"
     ),
-    # Periods, thresholds, motion.
+    # Size, periods, thresholds, motion.
+    "no size": Mutant(("size: { leg: 0.82, mass: 75.9 }\n", ""), "size", "missing"),
+    "a leg in millimetres": Mutant(("leg: 0.82", "leg: 820"), "size.leg", "expected 0.82"),
+    "no leg": Mutant(("leg: 0.82", "leg: 0"), "size.leg", "> 0"),
+    "a mass in pounds": Mutant(("mass: 75.9", "mass: 167"), "size.mass", "expected 75.9"),
     "7 Hz": Mutant(("control_rate: 500", "control_rate: 7"), "control_rate", "got 7"),
     "periods of no whole steps": Mutant(
         ("physics_step: 0.001", "physics_step: 0.0015"), "physics_step", "whole number"
     ),
     "a step of a second": Mutant(("physics_step: 0.001", "physics_step: 1"), "physics_step"),
-    "a tilt in degrees": Mutant(("fall: { tilt: 0.6", "fall: { tilt: 35"), "fall.tilt", "got 35"),
-    "always fallen": Mutant(("height: 0.75, dcm", "height: 1.2, dcm"), "fall.height"),
-    "never out of balance": Mutant(("dcm_margin: 0.03", "dcm_margin: 30"), "fall.dcm_margin"),
+    "a tilt in degrees": Mutant(added("fall: { tilt: 35 }\n"), "fall.tilt", "got 35"),
+    "always fallen": Mutant(added("fall: { height: 1.2 }\n"), "fall.height"),
+    "never out of balance": Mutant(added("fall: { dcm_margin: 30 }\n"), "fall.dcm_margin", "<= 0.3 m, got 30"),
     "legs longer than they are": Mutant(added("walking: { leg_reach: 0.9 }\n"), "walking.leg_reach", "straight leg"),
     "hips higher than legs reach": Mutant(added("walking: { hip_height: 0.9 }\n"), "walking.leg_reach", "hip_height"),
     "hips lower than they are": Mutant(added("walking: { hip_height: 0.5 }\n"), "walking.hip_height", "expected 0.725"),
     "feet in one line": Mutant(added("walking: { step_width: 0.05 }\n"), "walking.step_width", "as footsteps says"),
-    "feet on each other": Mutant(("min_width: 0.15", "min_width: 0.05"), "footsteps.min_width", "soles touch"),
+    "feet on each other": Mutant(("footsteps: {}", "footsteps: { min_width: 0.05 }"), "footsteps.min_width", "soles touch"),
     "the least above the most": Mutant(
-        ("min_width: 0.15", "min_width: 1.5"), "footsteps.min_width", "less than max_width"
+        ("footsteps: {}", "footsteps: { min_width: 1.5 }"), "footsteps.min_width", "less than max_width"
     ),
     "gains the wrong way round": Mutant(added("gains: { min_stiffness: 2 }\n"), "gains.min_stiffness", "less than max"),
     "contacts the wrong way round": Mutant(added("estimator: { contact_off: 0.5 }\n"), "estimator.contact_off"),

@@ -26,6 +26,7 @@ SOLE_SIZE = 0.02  # of a sole's edges from those of the foot's geoms, at most [m
 COM_MARGIN = 0.02  # of the CoM inside both soles' edges, at least [m]
 STIFFNESS_MARGIN = 1.1  # of the ankles' servos over what the robot's weight asks of them
 LEG_TOLERANCE = 0.05  # of hip_height from the nominal posture's [m]
+SIZE_TOLERANCE = 0.03  # of size from the model's, as a share
 
 
 class Stance:
@@ -86,6 +87,11 @@ class Stance:
         lateral = self.base[1][:, 1]
         group = self.robot.tables.group(f"{side}_leg")
         return [name for name in group if abs(self.data.joint(name).xaxis @ lateral) > 0.9]
+
+    def leg_length(self, side: str) -> float:
+        """From hip to ankle, straight [m]."""
+        anchors = [self.data.joint(name).xanchor for name in self.pitch_joints(side)]
+        return float(sum(np.linalg.norm(b - a) for a, b in pairwise(anchors)))
 
     def outline(self, side: str) -> soles.Points:
         """A sole's corners from above."""
@@ -315,13 +321,23 @@ def servos_hold_the_robot_up(stance: Stance) -> Iterator[TableError]:
         yield TableError(("joints", ankles[0][0], "servo", "stiffness"), what)
 
 
+def the_size_is_the_models(stance: Stance) -> Iterator[TableError]:
+    """``size`` has the straight leg's length and the mass of the model: defaults go by them."""
+    size = stance.robot.tables.size
+    leg = sum(stance.leg_length(side) for side in SIDES) / len(SIDES)
+    mass = stance.weight / -stance.model.mj.opt.gravity[2]
+    for key, found, wanted in (("leg", size.leg, leg), ("mass", size.mass, mass)):
+        if abs(found / wanted - 1) > SIZE_TOLERANCE:
+            yield TableError(("size", key), f"got {found}; expected {wanted:.4g}, as the model has it")
+
+
 def legs_are_as_long_as_walking_says(stance: Stance) -> Iterator[TableError]:
     """``hip_height`` is that of the nominal posture, and ``leg_reach`` leaves the knee bent."""
     walking = stance.robot.tables.walking
     for side in SIDES:
         anchors = [stance.data.joint(name).xanchor for name in stance.pitch_joints(side)]
         height = float(anchors[0][2] - anchors[-1][2])
-        length = float(sum(np.linalg.norm(b - a) for a, b in pairwise(anchors)))
+        length = stance.leg_length(side)
         if abs(walking.hip_height - height) > LEG_TOLERANCE:
             what = f"got {walking.hip_height}; expected {height:.3f}, as in the nominal posture"
             yield TableError(("walking", "hip_height"), what)
@@ -350,6 +366,7 @@ CHECKS: tuple[Callable[[Stance], Iterator[TableError]], ...] = (
     the_com_is_over_the_soles,
     nothing_touches,
     pairs_are_kept_apart,
+    the_size_is_the_models,
     legs_are_as_long_as_walking_says,
     joints_can_carry_the_robot,
     servos_hold_the_robot_up,

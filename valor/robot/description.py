@@ -19,12 +19,24 @@ from msgspec import structs
 from valor.common.arrays import FloatArray
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
-from valor.common.table import Table, TableError, checked, read
+from valor.common.table import Table, TableError, checked
 from valor.robot.rules import RULES
-from valor.robot.tables import RobotTables
+from valor.robot.size import Size, completed, factors
+from valor.robot.tables import Feet, RobotTables
 
 T = TypeVar("T", bound=Table)
 _PERIOD_TOLERANCE = 1e-9  # [s]
+
+
+class _Proportions(Table, forbid_unknown_fields=False):
+    """What must be known of a robot before its defaults are."""
+
+    size: Size
+    feet: Feet
+
+    def factors(self) -> dict[str, float]:
+        """Of its defaults, by dimension."""
+        return factors(self.size, min(self.feet.left.half_width, self.feet.right.half_width))
 
 
 class RobotDescription:
@@ -64,7 +76,12 @@ class RobotDescription:
         file = folder / "robot.yaml"
         if not file.is_file():
             raise ConfigurationError(f"{file}: no such file; expected a robot's folder with robot.yaml")
-        tables = read(RobotTables, file)
+        document = Document.load(file)
+        try:
+            proportions = checked(_Proportions, document.content)
+            tables = checked(RobotTables, completed(RobotTables, document.content, proportions.factors()))
+        except TableError as error:
+            raise document.error(error.path, error.what) from None
         robot = cls(folder, tables)
         if not robot.model_file.is_file():
             raise robot.error(["model"], f"no file {robot.model_file}")
@@ -81,8 +98,9 @@ class RobotDescription:
         """
         if (table := self._read.get(kind)) is None:
             sections = {name: getattr(self.tables, name) for name in kind.__struct_fields__}
+            proportions = _Proportions(size=self.tables.size, feet=self.tables.feet)
             try:
-                table = self._read[kind] = checked(kind, sections)
+                table = self._read[kind] = checked(kind, completed(kind, sections, proportions.factors()))
             except TableError as error:
                 raise self.error(error.path, error.what) from None
         return cast("T", table)

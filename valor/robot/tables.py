@@ -10,12 +10,8 @@ from msgspec import Meta
 from valor.common.table import NonNegative, Positive, Table, TableError, require_order
 from valor.devices.kinds import DeviceTable
 from valor.devices.table import Calibration, SupplyLimits
-from valor.robot.motion_tables import (
-    Footsteps,
-    PelvisMotion,
-    SelfCollision,
-    Walking,
-)
+from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Walking
+from valor.robot.size import Force, Size
 
 Turn = Annotated[float, Meta(ge=-13, le=13)]
 """Two turns either way [rad]: more is in degrees."""
@@ -82,8 +78,8 @@ class Hands(Table):
 
     left: Hand | None = None
     right: Hand | None = None
-    contact_on: Positive = 15.0  # force from which a hand counts as touching something [N]
-    contact_off: Positive = 8.0  # until here
+    contact_on: Force[Positive] = 15.0  # force from which a hand counts as touching something [N]
+    contact_off: Force[Positive] = 8.0  # until here
 
     def __post_init__(self) -> None:
         require_order(self, "contact_off", "contact_on")
@@ -159,6 +155,7 @@ class RobotTables(Table, kw_only=True):
     physics_step: Annotated[
         float, Meta(ge=1e-4, le=0.005, extra={"unit": "s"})
     ]  # of the simulation; contacts bear no longer one [s]
+    size: Size  # what the defaults of what follows go by
     base: str  # the floating body, the pelvis
     chest: str  # the body that pushes act on and whose orientation is held
     head: str | None = None
@@ -172,8 +169,8 @@ class RobotTables(Table, kw_only=True):
     arm_presets: Presets = {}  # [rad]
     hand_presets: Presets = {}  # [rad]
     actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
-    fall: Section
-    footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans
+    fall: Section = {}
+    footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans; {}: those of a robot of its size
     whole_body: Section = {}
     walking: Walking = Walking()
     pelvis: PelvisMotion = PelvisMotion()

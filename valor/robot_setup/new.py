@@ -12,6 +12,8 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.robot.motion_tables import SelfCollision
+from valor.robot.size import ESCHER
 from valor.robot_setup import model_xml, robot_yaml
 from valor.robot_setup.drives import Drive, drives, inertias, tune
 from valor.robot_setup.geometry import Sole, cloud, sole
@@ -246,7 +248,7 @@ def _pairs(
         pairs += product(arm, dict.fromkeys([*trunk, *legs[side][:2]]))
     if outer:
         pairs += product(outer["left"], outer["right"])
-    near = 0.045 * stance.leg_length / robot_yaml.ESCHER_LEG
+    near = SelfCollision().near * stance.leg_length / ESCHER.leg
     kept = []
     for one, other in pairs:
         distances = []

@@ -5,94 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from valor.robot.motion_tables import Walking
+from valor.robot.size import ESCHER
 from valor.robot_setup.drives import TORQUE_LAG, Drive
 from valor.robot_setup.geometry import Sole
 from valor.robot_setup.posture import SIDES, Stance
 from valor.robot_setup.skeleton import Skeleton
 
-ESCHER_LEG, ESCHER_MASS = 0.82, 75.9  # [m], [kg]: the defaults of controllers are this robot's
-
-# Section → key → ESCHER's value and its dimension: l: length; t: time; v, w: speed and turn rate; a: per time; aa: per
-# time squared; f: force. Robots of another size get them as one that falls as it does, seen in its own time (Froude).
-SCALED: Mapping[str, Mapping[str, tuple[float, str]]] = {
-    "walking": {
-        "swing_duration": (0.6, "t"),
-        "transfer_duration": (0.2, "t"),
-        "fast_swing_duration": (0.42, "t"),
-        "fast_transfer_duration": (0.06, "t"),
-        "full_speed": (0.7, "v"),
-        "first_transfer_duration": (1.0, "t"),
-        "last_transfer_duration": (1.0, "t"),
-        "swing_height": (0.06, "l"),
-        "plan_swing_height": (0.08, "l"),
-        "touchdown_depth": (0.025, "l"),
-        "touchdown_force": (30.0, "f"),
-        "descent": (0.2, "v"),
-        "late_descent": (0.4, "v"),
-        "latest_touchdown": (0.3, "t"),
-        "loading_duration": (0.05, "t"),
-        "foot_stiffness": (300.0, "aa"),
-        "foot_damping": (34.0, "a"),
-        "max_forward_speed": (1.2, "v"),
-        "max_backward_speed": (0.3, "v"),
-        "max_lateral_speed": (0.125, "v"),
-        "max_turn_rate": (0.4, "a"),
-        "speed_change": (0.12, "v"),
-        "turn_change": (0.2, "a"),
-    },
-    "pelvis": {
-        "max_shift": (0.05, "l"),
-        "max_up": (0.03, "l"),
-        "max_down": (0.13, "l"),
-        "max_speed": (0.15, "v"),
-        "max_turn_rate": (0.4, "a"),
-        "max_turn_acceleration": (1.5, "aa"),
-    },
-    "whole_body": {
-        "contact_inset": (0.005, "l"),
-        "dcm_push_error": (0.02, "l"),
-        "orientation_stiffness": (120.0, "aa"),
-        "orientation_damping": (22.0, "a"),
-        "foot_damping": (10.0, "a"),
-        "stance_stiffness": (100.0, "aa"),
-        "posture_stiffness": (60.0, "aa"),
-        "posture_damping": (14.0, "a"),
-        "dcm_integral_limit": (0.1, "l"),
-        "dcm_integral_error": (0.01, "l"),
-        "com_shift_limit": (0.05, "l"),
-    },
-    "disturbance": {
-        "plan_reach": (0.05, "l"),
-        "threshold": (0.025, "l"),
-        "final": (0.06, "t"),
-        "shortest_swing": (0.25, "t"),
-        "longest_delay": (0.15, "t"),
-        "foot_speed": (3.0, "v"),
-        "clearance": (0.01, "l"),
-        "max_width": (0.6, "l"),
-        "max_backward": (0.5, "l"),
-        "diagonal_width": (0.3, "l"),
-        "giving": (0.04, "l"),
-        "calm": (0.04, "l"),
-        "recovery_transfer_duration": (0.05, "t"),
-        "recovery_swing_duration": (0.3, "t"),
-        "recovery_swing_height": (0.04, "l"),
-    },
-    "hand_goals": {"max_speed": (0.25, "v")},
-    "footsteps": {
-        "max_forward": (0.6, "l"),
-        "max_backward": (0.3, "l"),
-        "max_width": (0.6, "l"),
-        "max_distance": (0.4, "l"),
-        "max_up": (0.25, "l"),
-        "max_down": (0.2, "l"),
-        "max_swing_height": (0.2, "l"),
-        "min_swing_duration": (0.4, "t"),
-        "max_swing_duration": (3.0, "t"),
-        "min_transfer_duration": (0.1, "t"),
-        "max_transfer_duration": (3.0, "t"),
-    },
-}
+HIP_TOLERANCE = 0.01  # of the hip's height, from that which follows from the leg's length, in lengths of the leg
 
 
 @dataclass
@@ -110,7 +30,6 @@ class Content:
     step: float
     rate: int = 500
 
-
 def text(content: Content) -> str:
     """The file."""
     return (
@@ -121,10 +40,6 @@ def text(content: Content) -> str:
         )
         + "\n"
     )
-
-
-def _size(content: Content) -> float:
-    return content.stance.leg_length / ESCHER_LEG
 
 
 def _n(value: float) -> str:
@@ -147,6 +62,7 @@ def _head(content: Content) -> str:
         "model: model.xml",
         f"control_rate: {content.rate}",
         f"physics_step: {content.step:g}",
+        f"size: {{ leg: {_n(content.stance.leg_length)}, mass: {_n(content.mass)} }}  # what is not said below follows from it",
         f"base: {robot.name(robot.pelvis)}  # in the middle of the way between the feet",
         f"chest: {robot.name(robot.chest)}  # where the way up from the pelvis branches",
     ]
@@ -165,13 +81,10 @@ def _head(content: Content) -> str:
             f"half_width: {_n(sole.half_width)} }}"
         )
     if robot.arms:
-        on, off = (force * content.mass / ESCHER_MASS for force in (15.0, 8.0))
         lines.append("hands:")
         lines += [
             f"  {side}: {{ body: {robot.name(robot.arms[side].end)}, site: {side[0]}_gripper }}" for side in SIDES
         ]
-        lines.append(f"  contact_on: {_n(on)}  # by the robot's weight")
-        lines.append(f"  contact_off: {_n(off)}")
     return "\n".join(lines)
 
 
@@ -236,24 +149,14 @@ def _postures(content: Content) -> str:
 
 
 def _motion(content: Content) -> str:
-    size, weight = _size(content), content.mass / ESCHER_MASS
-    factor = {"l": size, "t": size**0.5, "v": size**0.5, "w": size**-0.5, "a": size**-0.5, "aa": 1 / size, "f": weight}
-    half_width = min(sole.half_width for sole in content.soles.values())
-    stance = content.stance
-    own: dict[str, dict[str, float]] = {
-        "walking": {"step_width": stance.width, "hip_height": stance.hip_height, "leg_reach": 0.94 * stance.leg_length},
-        "pelvis": {"com_margin": min(0.05 * size, 0.6 * half_width)},
-        "whole_body": {},
-        "disturbance": {"edge_margin": 0.4 * half_width},
-        "footsteps": {"max_steps": 50, "min_width": 2.02 * half_width, "max_yaw": 0.6, "max_tilt": 0.35},
-    }
+    weight, stance = content.mass / ESCHER.mass, content.stance
     noise_force = 2.0 * weight
     lines = [
         "actuators:",
         "  ideal: {}",
-        "  hardware:  # usual imperfections",
+        "  hardware:  # usual imperfections; forces by the robot's weight",
         "    mass_error: 0.05",
-        f"    friction: {_n(2.0 * weight)}  # by the robot's weight",
+        f"    friction: {_n(2.0 * weight)}",
         f"    torque_lag: {TORQUE_LAG:g}",
         "    delay: 0.004",
         "    noise:",
@@ -268,21 +171,15 @@ def _motion(content: Content) -> str:
         f"      force: {_n(noise_force)}",
         f"      torque: {_n(0.1 * noise_force)}",
         "",
-        "fall:",
-        "  tilt: 0.6",
-        "  height: 0.75",
-        f"  dcm_margin: {_n(0.4 * half_width)}",
-        f"  dcm_margin_stepping: {_n(0.1 * size)}",
-        "",
-        f"# ESCHER's, for a leg {size:.2f} times as long: lengths by it, times and speeds by its root.",
+        "# How it moves follows from its size, but for this.",
+        "footsteps: {}",
+        "walking:",
+        f"  step_width: {_n(stance.width)}  # as it stands",
     ]
-    for section, keys in SCALED.items():
-        lines.append(f"{section}:")
-        values = own.get(section, {}) | {key: value * factor[kind] for key, (value, kind) in keys.items()}
-        lines += [f"  {key}: {_n(value)}" for key, value in values.items()]
-    lines += ["self_collision:", f"  distance: {_n(0.02 * size)}", f"  near: {_n(0.045 * size)}"]
-    pairs = list(content.pairs)
-    lines += ["  pairs:", *(f"    - [{a}, {b}]" for a, b in pairs)] if pairs else []
+    if abs(stance.hip_height / stance.leg_length - Walking().hip_height / ESCHER.leg) > HIP_TOLERANCE:
+        lines.append(f"  hip_height: {_n(stance.hip_height)}  # as it stands")
+    if pairs := list(content.pairs):
+        lines += ["self_collision:", "  pairs:", *(f"    - [{a}, {b}]" for a, b in pairs)]
     return "\n".join(lines)
 
 

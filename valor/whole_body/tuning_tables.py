@@ -10,79 +10,81 @@ from typing import Annotated
 from msgspec import Meta
 
 from valor.common.table import NonNegative, Positive, Table, require_order
+from valor.robot.size import Length, PerArea, Rate, Sole, Speed, SquaredRate, Time
 
 
 class FallDetection(Table):
     """When the robot is lost."""
 
-    tilt: Annotated[float, Meta(gt=0, lt=1.57)]  # of the pelvis from upright [rad]
-    height: Annotated[float, Meta(ge=0.2, lt=1)]  # of the pelvis above the lower sole, as a share of the nominal one
-    dcm_margin: Annotated[float, Meta(gt=0, le=0.3)]  # of the DCM outside the support polygon [m]
+    tilt: Annotated[float, Meta(gt=0, lt=1.57)] = 0.6  # of the pelvis from upright [rad]
+    height: Annotated[float, Meta(ge=0.2, lt=1)] = 0.75  # of the pelvis above the lower sole, share of the nominal one
+    # Of the DCM outside the support polygon: pushes that ESCHER survives keep it 1 cm inside; 3 cm outside it is lost [m].
+    dcm_margin: Sole[Annotated[float, Meta(gt=0, le=0.3)]] = 0.03
     # Likewise of that after the step that is being taken: the next may save it [m].
-    dcm_margin_stepping: Annotated[float, Meta(gt=0, le=0.5)] = 0.1
-    dcm_duration: Annotated[float, Meta(ge=0, le=0.5)] = 0.02  # for which it must be outside by more [s]
+    dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.1
+    dcm_duration: Time[Annotated[float, Meta(ge=0, le=0.5)]] = 0.02  # for which it must be outside by more [s]
 
 
 class WholeBody(Table):
     """Weights and gains of the Whole-Body Controller: data, so that another robot can have its own."""
 
     friction: Positive = 0.6  # coefficient assumed
-    contact_inset: NonNegative = 0.005  # contact points pulled in from the sole's edges [m]
-    dcm_gain: Positive = 5.0  # k_ξ
-    dcm_push_gain: NonNegative = 15.0  # more, of what is beyond …
-    dcm_push_error: NonNegative = 0.02  # … this error in the plane: then the CoP is at the sole's edge at once [m]
+    contact_inset: Length[NonNegative] = 0.005  # contact points pulled in from the sole's edges [m]
+    dcm_gain: Rate[Positive] = 5.0  # k_ξ
+    dcm_push_gain: Rate[NonNegative] = 15.0  # more, of what is beyond …
+    dcm_push_error: Length[NonNegative] = 0.02  # … this error in the plane: then the CoP is at the sole's edge at once [m]
     com_weight: Positive = 300.0
     angular_momentum_weight: NonNegative = 0.003
-    angular_momentum_gain: NonNegative = 1.0
+    angular_momentum_gain: Rate[NonNegative] = 1.0
     orientation_weight: Positive = 3.0
-    orientation_stiffness: Positive = 120.0
-    orientation_damping: Positive = 22.0
+    orientation_stiffness: SquaredRate[Positive] = 120.0
+    orientation_damping: Rate[Positive] = 22.0
     foot_weight: Positive = 200.0
-    foot_damping: Positive = 10.0
-    stance_stiffness: NonNegative = 100.0  # of the feet to each other, against creep [1/s²]
+    foot_damping: Rate[Positive] = 10.0
+    stance_stiffness: SquaredRate[NonNegative] = 100.0  # of the feet to each other, against creep [1/s²]
     arm_posture_weight: Positive = 2.0
     waist_posture_weight: Positive = 0.1
     leg_posture_weight: Positive = 0.02
-    posture_stiffness: Positive = 60.0
-    posture_damping: Positive = 14.0
-    dcm_integral_gain: NonNegative = 1.0  # [1/s]
-    dcm_integral_limit: NonNegative = 0.1  # [m]
-    dcm_integral_error: Positive = 0.01  # most of the DCM error that is integrated: a push is no model error [m]
-    com_shift_limit: NonNegative = 0.05  # horizontal, of the CoM's reference with the arms; 0: thesis behaviour [m]
-    com_shift_bandwidth: Positive = 20.0  # [rad/s]
-    support_bandwidth: Positive = 2.0  # at which the CoM's reference follows the soles [rad/s]
-    blend_duration: Positive = 2.0  # from the state at the start to the nominal stance [s]
-    limit_approach: Positive = 10.0  # velocity allowed per distance to a joint's stop [1/s]
-    limit_response: Positive = 50.0  # deceleration per velocity above what is allowed [1/s]
+    posture_stiffness: SquaredRate[Positive] = 60.0
+    posture_damping: Rate[Positive] = 14.0
+    dcm_integral_gain: Rate[NonNegative] = 1.0  # [1/s]
+    dcm_integral_limit: Length[NonNegative] = 0.1  # [m]
+    dcm_integral_error: Length[Positive] = 0.01  # most of the DCM error that is integrated: a push is no model error [m]
+    com_shift_limit: Length[NonNegative] = 0.05  # horizontal, of the CoM's reference with the arms; 0: thesis behaviour [m]
+    com_shift_bandwidth: Rate[Positive] = 20.0  # [rad/s]
+    support_bandwidth: Rate[Positive] = 2.0  # at which the CoM's reference follows the soles [rad/s]
+    blend_duration: Time[Positive] = 2.0  # from the state at the start to the nominal stance [s]
+    limit_approach: Rate[Positive] = 10.0  # velocity allowed per distance to a joint's stop [1/s]
+    limit_response: Rate[Positive] = 50.0  # deceleration per velocity above what is allowed [1/s]
 
 
 class Disturbance(Table):
     """How steps give way to pushes, and when a robot that stands takes some."""
 
     adjust_steps: bool = True  # footholds and times of steps
-    plan_reach: NonNegative = 0.05  # that a plan's foothold may be moved by, either way along each axis [m]
-    foothold_weight: Positive = 1.0  # of a foothold's shift [1/m²]
-    time_weight: Positive = 0.3  # of a step's time [1/s²]
-    offset_weight: Positive = 30.0  # of the DCM error that is left to the next step [1/m²]
-    cop_weight: Positive = 0.02  # of the CoP's shift [1/m²]
+    plan_reach: Length[NonNegative] = 0.05  # that a plan's foothold may be moved by, either way along each axis [m]
+    foothold_weight: PerArea[Positive] = 1.0  # of a foothold's shift [1/m²]
+    time_weight: SquaredRate[Positive] = 0.3  # of a step's time [1/s²]
+    offset_weight: PerArea[Positive] = 30.0  # of the DCM error that is left to the next step [1/m²]
+    cop_weight: PerArea[Positive] = 0.02  # of the CoP's shift [1/m²]
     cop_share: Positive = 0.7  # of the CoP's reach within the stance sole, that is counted on
-    threshold: Positive = 0.025  # of the DCM error, below which a step is left alone [m]
-    final: Positive = 0.06  # before touchdown, in which nothing is changed any more [s]
-    shortest_swing: Positive = 0.25  # [s]
-    longest_delay: NonNegative = 0.15  # of a touchdown [s]
-    foot_speed: Positive = 3.0  # of a swinging foot, at most [m/s]
-    clearance: NonNegative = 0.01  # between the feet, besides the robot's least width [m]
-    max_width: Positive = 0.6  # of an adjusted step [m]
-    max_backward: Positive = 0.5  # likewise [m]
-    diagonal_width: Positive = 0.3  # |forward| + width is at most this beyond the longest step [m]
-    giving: NonNegative = 0.04  # of the VRP over a stance sole, for the DCM as the last step left it [m]
+    threshold: Length[Positive] = 0.025  # of the DCM error, below which a step is left alone [m]
+    final: Time[Positive] = 0.06  # before touchdown, in which nothing is changed any more [s]
+    shortest_swing: Time[Positive] = 0.25  # [s]
+    longest_delay: Time[NonNegative] = 0.15  # of a touchdown [s]
+    foot_speed: Speed[Positive] = 3.0  # of a swinging foot, at most [m/s]
+    clearance: Length[NonNegative] = 0.01  # between the feet, besides the robot's least width [m]
+    max_width: Length[Positive] = 0.6  # of an adjusted step [m]
+    max_backward: Length[Positive] = 0.5  # likewise [m]
+    diagonal_width: Length[Positive] = 0.3  # |forward| + width is at most this beyond the longest step [m]
+    giving: Length[NonNegative] = 0.04  # of the VRP over a stance sole, for the DCM as the last step left it [m]
     step_when_standing: bool = True  # when the feet alone cannot hold the robot
-    edge_margin: float = 0.03  # of the DCM inside the support polygon, below which it steps [m]
-    edge_time: NonNegative = 0.006  # for which it is that near the edge [s]
-    calm: Positive = 0.04  # of the DCM error, from which on it may step again [m]
-    recovery_transfer_duration: Positive = 0.05  # of weight, of such steps [s]
-    recovery_swing_duration: Positive = 0.3  # [s]
-    recovery_swing_height: Positive = 0.04  # [m]
+    edge_margin: Sole[float] = 0.03  # of the DCM inside the support polygon, below which it steps [m]
+    edge_time: Time[NonNegative] = 0.006  # for which it is that near the edge [s]
+    calm: Length[Positive] = 0.04  # of the DCM error, from which on it may step again [m]
+    recovery_transfer_duration: Time[Positive] = 0.05  # of weight, of such steps [s]
+    recovery_swing_duration: Time[Positive] = 0.3  # [s]
+    recovery_swing_height: Length[Positive] = 0.04  # [m]
 
 
 class GainLimits(Table):
@@ -101,8 +103,8 @@ class GainLimits(Table):
 class HandMotion(Table):
     """How fast the hands go to Cartesian goals."""
 
-    max_speed: Positive = 0.25  # [m/s]
-    max_turn_rate: Positive = 0.8  # [rad/s]
+    max_speed: Speed[Positive] = 0.25  # [m/s]
+    max_turn_rate: Rate[Positive] = 0.8  # [rad/s]
     joint_speed: Positive = 0.5  # most of a joint's velocity limit
 
 
@@ -138,7 +140,7 @@ class Estimator(Table):
 class Tuning(Table, kw_only=True):
     """Those sections, by their keys; read by ``RobotDescription.read``."""
 
-    fall: FallDetection
+    fall: FallDetection = FallDetection()
     whole_body: WholeBody = WholeBody()
     disturbance: Disturbance = Disturbance()
     gains: GainLimits = GainLimits()
