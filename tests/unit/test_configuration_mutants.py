@@ -201,7 +201,8 @@ ROBOT: dict[str, Mutant] = {
     ),
     # Size, periods, thresholds, motion.
     "no size": Mutant(("size: { leg: 0.82, mass: 75.9 }\n", ""), "size", "missing"),
-    "a leg in millimetres": Mutant(("leg: 0.82", "leg: 820"), "size.leg", "expected 0.82"),
+    "a leg in millimetres": Mutant(("leg: 0.82", "leg: 820"), "size.leg", "<= 3.0 m, got 820"),
+    "another leg": Mutant(("leg: 0.82", "leg: 0.9"), "size.leg", "expected 0.82"),
     "no leg": Mutant(("leg: 0.82", "leg: 0"), "size.leg", "> 0"),
     "a mass in pounds": Mutant(("mass: 75.9", "mass: 167"), "size.mass", "expected 75.9"),
     "7 Hz": Mutant(("control_rate: 500", "control_rate: 7"), "control_rate", "got 7"),
@@ -216,7 +217,9 @@ ROBOT: dict[str, Mutant] = {
     "hips higher than legs reach": Mutant(added("walking: { hip_height: 0.9 }\n"), "walking.leg_reach", "hip_height"),
     "hips lower than they are": Mutant(added("walking: { hip_height: 0.5 }\n"), "walking.hip_height", "expected 0.725"),
     "feet in one line": Mutant(added("walking: { step_width: 0.05 }\n"), "walking.step_width", "as footsteps says"),
-    "feet on each other": Mutant(("footsteps: {}", "footsteps: { min_width: 0.05 }"), "footsteps.min_width", "soles touch"),
+    "feet on each other": Mutant(
+        ("footsteps: {}", "footsteps: { min_width: 0.05 }"), "footsteps.min_width", "soles touch"
+    ),
     "the least above the most": Mutant(
         ("footsteps: {}", "footsteps: { min_width: 1.5 }"), "footsteps.min_width", "less than max_width"
     ),

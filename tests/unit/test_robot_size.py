@@ -75,10 +75,19 @@ def test_what_is_said_stays_as_it_is_and_what_is_no_table_too() -> None:
 
 
 def test_a_robots_tables_are_of_its_size(tmp_path: Path) -> None:
-    small = robot(tmp_path, ("leg: 0.82", "leg: 0.205"), ("footsteps: {}", "footsteps: { max_up: 0.1 }"))
+    small = robot(
+        tmp_path,
+        ("leg: 0.82", "leg: 0.205"),
+        ("half_width: 0.07425", "half_width: 0.019"),
+        ("footsteps: {}", "footsteps: { max_up: 0.1 }"),
+    )
     footsteps = small.tables.footsteps
     assert footsteps is not None
-    assert (footsteps.max_up, footsteps.max_down, footsteps.min_width) == (0.1, 0.05, 0.15)
+    assert (footsteps.max_up, footsteps.max_down, footsteps.min_width) == (
+        0.1,
+        0.05,
+        pytest.approx(0.15 * 0.019 / 0.07425),
+    )
     assert small.tables.walking.swing_duration == pytest.approx(0.3)
     assert small.read(Tuning).disturbance.recovery_swing_duration == pytest.approx(0.15)
 

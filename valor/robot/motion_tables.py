@@ -16,9 +16,9 @@ from valor.robot.size import Force, Length, Rate, Sole, Speed, SquaredRate, Time
 class Footsteps(Table):
     """Which steps a plan may hold. Displacements are of a sole seen from the other foot's, heading only.
 
-    ESCHER's lengths and heights are those of a public controller for it; the smallest width keeps the soles apart. Steps
-    that keep the balance reach as far; those of a plan no farther than ``max_distance``, beyond which they come down
-    beside their place.
+    ESCHER's lengths and heights are those of a public controller for it; the smallest width keeps the soles apart.
+    Steps that keep the balance reach as far; those of a plan no farther than ``max_distance``, beyond which they come
+    down beside their place.
     """
 
     max_steps: Annotated[int, Meta(ge=1)] = 50  # of a plan
@@ -52,8 +52,8 @@ class Walking(Table):
     full_speed: Speed[Positive] = 0.7  # the durations go linearly from zero to here [m/s]
     first_transfer_duration: Time[Positive] = 1.0  # from rest [s]
     last_transfer_duration: Time[Positive] = 1.0  # to rest [s]
-    swing_height: Length[Positive] = 0.06  # of the apex above the higher of lift-off and touch-down, by velocity [m]
-    plan_swing_height: Length[Positive] = 0.08  # likewise, of plans that do not say: their heights may be wrong by 4 cm [m]
+    swing_height: Length[Positive] = 0.06  # of the apex above lift-off and touch-down, by velocity [m]
+    plan_swing_height: Length[Positive] = 0.08  # likewise, of plans that do not say: they may be 4 cm wrong [m]
     touchdown_depth: Length[NonNegative] = 0.025  # below the foothold, that a foot is led to: holes are met in time [m]
     touchdown_force: Force[Positive] = 30.0  # vertical, at which a swinging foot has touched down [N]
     earliest_touchdown: Positive = 0.6  # of the swing's duration
@@ -66,7 +66,7 @@ class Walking(Table):
     foot_damping: Rate[Positive] = 34.0  # [1/s]
     step_width: Length[Positive] = 0.2  # between the soles' origins, walking by velocity [m]
     hip_height: Length[Positive] = 0.725  # above the ankle in the nominal posture [m]
-    leg_reach: Length[Positive] = 0.77  # from hip to ankle, that long steps stretch a leg to; beyond, the CoM is lowered [m]
+    leg_reach: Length[Positive] = 0.77  # hip to ankle, that long steps stretch a leg to; beyond, the CoM is lowered [m]
     max_forward_speed: Speed[Positive] = 1.2  # [m/s]
     max_backward_speed: Speed[Positive] = 0.3  # [m/s]
     max_lateral_speed: Speed[Positive] = 0.125  # [m/s]

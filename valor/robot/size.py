@@ -1,8 +1,8 @@
 """How large a robot is, and what it gets for what its robot.yaml does not say.
 
-Defaults are ESCHER's. A field whose default depends on the robot's size says its dimension; a robot of another size gets
-ESCHER's value times the dimension's factor. With legs λ times as long it falls as ESCHER does, √λ times as slowly: the
-factors are those that keep Froude's number v²/(g·l). Forces go by the robot's mass, margins at a sole's edge by the sole.
+Defaults are ESCHER's. A field whose default depends on the robot's size says its dimension; a robot of another size
+gets ESCHER's value times the dimension's factor. With legs λ times as long it falls as ESCHER does, √λ times as slowly:
+the factors are those that keep Froude's number v²/(g·l). Forces go by the mass, margins at a sole's edge by the sole.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import Annotated, Any, TypeVar
 import msgspec.inspect
 from msgspec import Meta
 
-from valor.common.table import Positive, Table
+from valor.common.table import Table
 
 
 class Size(Table):
     """Of a robot, as far as defaults depend on it."""
 
-    leg: Positive  # straight, from hip to ankle [m]
-    mass: Positive  # [kg]
+    leg: Annotated[float, Meta(gt=0, le=3, extra={"unit": "m"})]  # straight, from hip to ankle [m]
+    mass: Annotated[float, Meta(gt=0, le=1000, extra={"unit": "kg"})]  # [kg]
 
 
 ESCHER = Size(leg=0.82, mass=75.9)

@@ -30,6 +30,7 @@ class Content:
     step: float
     rate: int = 500
 
+
 def text(content: Content) -> str:
     """The file."""
     return (
@@ -62,7 +63,7 @@ def _head(content: Content) -> str:
         "model: model.xml",
         f"control_rate: {content.rate}",
         f"physics_step: {content.step:g}",
-        f"size: {{ leg: {_n(content.stance.leg_length)}, mass: {_n(content.mass)} }}  # what is not said below follows from it",
+        f"size: {{ leg: {_n(content.stance.leg_length)}, mass: {_n(content.mass)} }}  # decides what is not said",
         f"base: {robot.name(robot.pelvis)}  # in the middle of the way between the feet",
         f"chest: {robot.name(robot.chest)}  # where the way up from the pelvis branches",
     ]

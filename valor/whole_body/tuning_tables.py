@@ -18,7 +18,7 @@ class FallDetection(Table):
 
     tilt: Annotated[float, Meta(gt=0, lt=1.57)] = 0.6  # of the pelvis from upright [rad]
     height: Annotated[float, Meta(ge=0.2, lt=1)] = 0.75  # of the pelvis above the lower sole, share of the nominal one
-    # Of the DCM outside the support polygon: pushes that ESCHER survives keep it 1 cm inside; 3 cm outside it is lost [m].
+    # Of the DCM outside the support polygon: what ESCHER survives keeps it 1 cm inside; 3 cm outside it is lost [m].
     dcm_margin: Sole[Annotated[float, Meta(gt=0, le=0.3)]] = 0.03
     # Likewise of that after the step that is being taken: the next may save it [m].
     dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.1
@@ -32,7 +32,7 @@ class WholeBody(Table):
     contact_inset: Length[NonNegative] = 0.005  # contact points pulled in from the sole's edges [m]
     dcm_gain: Rate[Positive] = 5.0  # k_ξ
     dcm_push_gain: Rate[NonNegative] = 15.0  # more, of what is beyond …
-    dcm_push_error: Length[NonNegative] = 0.02  # … this error in the plane: then the CoP is at the sole's edge at once [m]
+    dcm_push_error: Length[NonNegative] = 0.02  # … this error: then the CoP is at the sole's edge at once [m]
     com_weight: Positive = 300.0
     angular_momentum_weight: NonNegative = 0.003
     angular_momentum_gain: Rate[NonNegative] = 1.0
@@ -49,8 +49,8 @@ class WholeBody(Table):
     posture_damping: Rate[Positive] = 14.0
     dcm_integral_gain: Rate[NonNegative] = 1.0  # [1/s]
     dcm_integral_limit: Length[NonNegative] = 0.1  # [m]
-    dcm_integral_error: Length[Positive] = 0.01  # most of the DCM error that is integrated: a push is no model error [m]
-    com_shift_limit: Length[NonNegative] = 0.05  # horizontal, of the CoM's reference with the arms; 0: thesis behaviour [m]
+    dcm_integral_error: Length[Positive] = 0.01  # of the DCM error, integrated at most: a push is no model error [m]
+    com_shift_limit: Length[NonNegative] = 0.05  # of the CoM's reference with the arms; 0: thesis behaviour [m]
     com_shift_bandwidth: Rate[Positive] = 20.0  # [rad/s]
     support_bandwidth: Rate[Positive] = 2.0  # at which the CoM's reference follows the soles [rad/s]
     blend_duration: Time[Positive] = 2.0  # from the state at the start to the nominal stance [s]
