@@ -51,6 +51,8 @@ def cut(robot: RobotDescription, folder: Path, *groups: str) -> RobotDescription
     pairs = content["self_collision"]["pairs"]
     content["self_collision"]["pairs"] = [pair for pair in pairs if set(pair) <= bodies]
     content["link_frames"] = {frame: name for frame, name in content["link_frames"].items() if name in known}
+    mj = spec.compile()
+    content["size"]["mass"] = float(mj.body_subtreemass[mj.body(content["base"]).id])
     return _write(content, spec, folder)
 
 
