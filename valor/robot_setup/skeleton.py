@@ -133,11 +133,11 @@ class _Finder:
         mine = set(self.bodies)
         joints = [j for j in range(mj.njnt) if int(mj.jnt_bodyid[j]) in mine]
         hinges = [j for j in joints if mj.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
-        others = [j for j in joints if mj.jnt_type[j] in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)]
+        others = [j for j in joints if int(mj.jnt_type[j]) in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)]
         acted = {
             int(mj.actuator_trnid[a, 0])
             for a in range(mj.nu)
-            if mj.actuator_trntype[a] in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+            if int(mj.actuator_trntype[a]) in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
         }
         for joint in others:
             if joint in acted:
