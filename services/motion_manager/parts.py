@@ -10,7 +10,7 @@ from valor.common.behaviors import NOTHING_TO_LEAD, Locomotion, Manipulation
 from valor.common.messages import MotionState
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_contact import HandContacts
-from valor.motion_manager.hands.hand_goals import HandGoals
+from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import UpperBody
@@ -181,7 +181,7 @@ class Parts:
 
     def _led_by(self, side: int) -> str:
         """Who leads an arm from outside (0 left, 1 right)."""
-        if self.fsm.manipulation is not Manipulation.TELEOP:
+        if self.fsm.manipulation is not Manipulation.TELEOP or not self.robot.tables.group(f"{SIDES[side]}_arm"):
             return "nobody"
         return "hand_goal" if self.hand_goals.leads(side) else "setpoints"
 

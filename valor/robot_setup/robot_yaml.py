@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import hypot, sqrt
 
-from valor.robot.motion_tables import Walking
+from valor.robot.motion_tables import Footsteps, Walking
 from valor.robot.size import ESCHER
 from valor.robot_setup.drives import TORQUE_LAG, Drive
 from valor.robot_setup.geometry import Sole
 from valor.robot_setup.posture import SIDES, Stance
 from valor.robot_setup.skeleton import Skeleton
 
+WIDE = 0.85  # of a step's greatest length, from which on the width is that of a robot with its feet far apart
 HIP_TOLERANCE = 0.01  # of the hip's height, from that which follows from the leg's length, in lengths of the leg
 
 
@@ -173,7 +175,7 @@ def _motion(content: Content) -> str:
         f"      torque: {_n(0.1 * noise_force)}",
         "",
         "# How it moves follows from its size, but for this.",
-        "footsteps: {}",
+        _footsteps(stance),
         "walking:",
         f"  step_width: {_n(stance.width)}  # as it stands",
     ]
@@ -182,6 +184,16 @@ def _motion(content: Content) -> str:
     if pairs := list(content.pairs):
         lines += ["self_collision:", "  pairs:", *(f"    - [{a}, {b}]" for a, b in pairs)]
     return "\n".join(lines)
+
+
+def _footsteps(stance: Stance) -> str:
+    """Plans of steps are taken; of a robot whose feet are far apart for its size, wider ones than of another."""
+    usual, size = Footsteps(), stance.leg_length / ESCHER.leg
+    if stance.width <= WIDE * usual.max_distance * size:
+        return "footsteps: {}"
+    ahead = size * sqrt(usual.max_distance**2 - Walking().step_width ** 2)
+    farthest, widest = hypot(stance.width, ahead), max(usual.max_width * size, 1.5 * stance.width)
+    return f"footsteps: {{ max_width: {_n(widest)}, max_distance: {_n(farthest)} }}  # as far apart as its feet stand"
 
 
 def frames(robot: Skeleton) -> dict[str, int | str]:

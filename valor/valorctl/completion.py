@@ -50,13 +50,13 @@ def actuators(ctx: typer.Context) -> Iterable[str]:
 @completer
 def arm_presets(ctx: typer.Context) -> Iterable[str]:
     """Postures of the arms of the robot that is up."""
-    return _table(_settings(ctx).robot)["arm_presets"]
+    return _table(_settings(ctx).robot).get("arm_presets", ())
 
 
 @completer
 def hand_presets(ctx: typer.Context) -> Iterable[str]:
     """Postures of the hands of the robot that is up."""
-    return _table(_settings(ctx).robot)["hand_presets"]
+    return _table(_settings(ctx).robot).get("hand_presets", ())
 
 
 @completer
