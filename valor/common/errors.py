@@ -6,11 +6,41 @@ from collections.abc import Iterable
 
 
 class ValorError(Exception):
-    """Base of every error that the project raises on purpose. Its text is one line."""
+    """Base of every error that the project raises on purpose. Its text is one line; of several faults, one each."""
 
 
 class ConfigurationError(ValorError):
     """A file or a setting is missing or wrong: names the file, the key and what was expected."""
+
+
+class SeveralFaultsError(ConfigurationError):
+    """Several things are missing or wrong: a line for each.
+
+    Attributes:
+        faults: one error each.
+        unchecked: what could not be looked at because of them, a line each.
+    """
+
+    def __init__(self, faults: Iterable[ConfigurationError], unchecked: Iterable[str] = ()) -> None:
+        self.faults = tuple(faults)
+        self.unchecked = tuple(unchecked)
+        super().__init__("\n".join([*map(str, self.faults), *self.unchecked]))
+
+    @classmethod
+    def each(cls, error: ConfigurationError) -> tuple[ConfigurationError, ...]:
+        """The faults that an error stands for."""
+        return error.faults if isinstance(error, cls) else (error,)
+
+    @classmethod
+    def require_none(cls, faults: Iterable[ConfigurationError]) -> None:
+        """Raise them; one alone as it is.
+
+        Raises:
+            ConfigurationError: there are any.
+        """
+        found = list(faults)
+        if found:
+            raise found[0] if len(found) == 1 else cls(found)
 
 
 class RefusalError(ValorError):

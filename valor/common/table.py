@@ -11,9 +11,12 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin
 
 import msgspec.inspect
+
+from valor.common.errors import SeveralFaultsError
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
@@ -98,10 +101,70 @@ def read(kind: type[T], file: Path) -> T:
     from valor.common.document import Document  # with a YAML reader: not for those who take tables of JSON alone
 
     document = Document.load(file)
+    SeveralFaultsError.require_none(document.error(each.path, each.what) for each in faults(kind, document.content))
+    return checked(kind, document.content)
+
+
+def faults(kind: Any, content: object, path: tuple[str, ...] = ()) -> list[TableError]:
+    """All that is wrong in plain values of a table, mapping or list; ``checked`` raises the first.
+
+    Args:
+        kind: a table's class, or the type of what stands in one.
+        content: plain values.
+        path: that leads to them.
+    """
+    if not path and (wrong := list(_infinite(content))):
+        return [TableError(where, f"expected a finite number, got {number}") for where, number in wrong]
     try:
-        return checked(kind, document.content)
-    except TableError as error:
-        raise document.error(error.path, error.what) from None
+        msgspec.convert(content, kind, dec_hook=_other_type)
+    except msgspec.ValidationError as error:
+        whole = _explained(kind, content, error)
+    else:
+        return []
+    found = [TableError((*path, key), what) for key, what in _astray(kind, content)]
+    for key, inner in _inner(kind, content):
+        part = content[int(key)] if isinstance(content, list) else content[key]  # type: ignore[index]
+        found += faults(inner, part, (*path, key))
+    return found or [TableError((*path, *whole.path), whole.what)]
+
+
+def _astray(kind: Any, content: object) -> Iterator[tuple[str, str]]:
+    """Keys of a table that are missing, or that it has not, and what to say of them."""
+    if not (isinstance(content, dict) and isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+        return
+    fields = msgspec.structs.fields(kind)
+    known = [field.encode_name for field in fields]
+    for key in content:
+        if key not in known and key != kind.__struct_config__.tag_field:
+            yield str(key), _unknown(str(key), known)
+    for field in fields:
+        if field.required and field.encode_name not in content:
+            yield field.encode_name, "expected, but missing"
+
+
+def _unknown(key: str, known: Sequence[str]) -> str:
+    import difflib
+
+    return "unknown key" + "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(key, known, n=1))
+
+
+def _inner(kind: Any, content: object) -> Iterator[tuple[str, Any]]:
+    """The keys of a value that is no scalar, with the type of what belongs there."""
+    arguments = get_args(kind)
+    if get_origin(kind) in {Union, UnionType} and isinstance(content, dict | list):
+        structures = [each for each in arguments if each is not type(None)]
+        if len(structures) == 1:
+            yield from _inner(structures[0], content)
+    elif get_origin(kind) is Annotated:
+        yield from _inner(arguments[0], content)
+    elif isinstance(content, dict) and isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        for field in msgspec.structs.fields(kind):
+            if field.encode_name in content:
+                yield field.encode_name, field.type
+    elif isinstance(content, dict) and get_origin(kind) is dict:
+        yield from ((str(key), arguments[1]) for key in content)
+    elif isinstance(content, list) and get_origin(kind) is list:
+        yield from ((str(place), arguments[0]) for place in range(len(content)))
 
 
 def _infinite(content: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], float]]:
@@ -121,7 +184,7 @@ def _other_type(kind: type, value: object) -> object:
     raise TypeError(f"expected a {kind.__name__.lower()}, got {value!r}")
 
 
-def _explained(kind: type[Table], content: object, error: msgspec.ValidationError) -> TableError:
+def _explained(kind: Any, content: object, error: msgspec.ValidationError) -> TableError:
     """Msgspec's complaint in our words, with all keys named."""
     complaint = str(error)
     match = _PLACE.fullmatch(complaint)
@@ -133,12 +196,8 @@ def _explained(kind: type[Table], content: object, error: msgspec.ValidationErro
     what: str = match["what"]
     if field := _FIELD.fullmatch(what):
         keys.append(field[2])
-        what = "expected, but missing" if field[1] == "missing required" else "unknown key"
-        if field[1] != "missing required":
-            import difflib
-
-            known = [each.encode_name for struct in _types(kind, parts) for each in getattr(struct, "fields", ())]
-            what += "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(field[2], known, n=1))
+        known = [each.encode_name for struct in _types(kind, parts) for each in getattr(struct, "fields", ())]
+        what = "expected, but missing" if field[1] == "missing required" else _unknown(field[2], known)
     elif value := _CHOICE.fullmatch(what):
         choices = _choices(kind, parts, bool(match["of_key"]))
         what = f"expected {' or '.join(sorted(map(str, choices)))}, got {value[1]}"
@@ -151,7 +210,7 @@ def _in_words(found: re.Match[str]) -> str:
     return " or ".join(_WORDS.get(kind, kind) for kind in found[1].split(" | ")) if found[1] else "expected"
 
 
-def _keys(kind: type[Table], content: object, complaint: str, parts: list[str]) -> list[str]:
+def _keys(kind: Any, content: object, complaint: str, parts: list[str]) -> list[str]:
     """The path to what is wrong; ``...`` in ``parts`` is some key of a mapping.
 
     It is the one without whose siblings the complaint is the same.
@@ -185,7 +244,7 @@ def _with_value(what: str, content: Any, path: Sequence[str]) -> str:
     return f"{what.partition(', got ')[0]}, got {text if len(text) <= _LONGEST else text[:_LONGEST] + '…'}"
 
 
-def _unit(kind: type[Table], parts: Sequence[str]) -> str:
+def _unit(kind: Any, parts: Sequence[str]) -> str:
     """Of the number at a place, with a blank before it: of its ``Meta(extra={"unit": ...})``; empty if it says none."""
     inner = [each for outer in _types(kind, parts[:-1]) for part in parts[-1:] for each in _parts(outer, part)]
     found = [one for each in inner for one in (each.types if isinstance(each, msgspec.inspect.UnionType) else [each])]
@@ -193,7 +252,7 @@ def _unit(kind: type[Table], parts: Sequence[str]) -> str:
     return "".join(f" {unit}" for unit in units if unit)
 
 
-def _choices(kind: type[Table], parts: Sequence[str], of_key: bool) -> Iterator[Any]:
+def _choices(kind: Any, parts: Sequence[str], of_key: bool) -> Iterator[Any]:
     """The values that are allowed at a place, or of a mapping's keys."""
     for found in _types(kind, parts):
         literal = getattr(found, "key_type", None) if of_key else found
@@ -201,7 +260,7 @@ def _choices(kind: type[Table], parts: Sequence[str], of_key: bool) -> Iterator[
             yield from literal.values
 
 
-def _types(kind: type[Table], parts: Sequence[str]) -> list[Any]:
+def _types(kind: Any, parts: Sequence[str]) -> list[Any]:
     """What may stand at a place; ``parts`` lead there."""
     found: list[Any] = _alternatives(msgspec.inspect.type_info(kind))
     for part in parts:
@@ -227,7 +286,7 @@ def _alternatives(kind: Any) -> list[Any]:
     return [kind]
 
 
-def _complaint(kind: type[Table], content: object) -> str:
+def _complaint(kind: Any, content: object) -> str:
     try:
         msgspec.convert(content, kind, dec_hook=_other_type)
     except msgspec.ValidationError as error:

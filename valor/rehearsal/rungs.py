@@ -37,9 +37,9 @@ STOP = 4.0  # that a walk may take to end [s]
 _TILT = 0.15  # that a standing robot may lean [rad]
 _SAG = 0.05  # that it may sink, of its base's height
 _ARM = 0.05  # that an arm may be away from where it was sent [rad]
-_DCM = 0.025  # of its error, RMS, by such a leg [m]
-_CALM = 0.03  # likewise after a push [m]
-_PLACE = 0.04  # of a foot's place after a plan, likewise [m]
+_DCM = 0.5  # of its error, RMS, of a sole's half width
+_CALM = 0.5  # likewise, of what is left of it after a push
+_PLACE = 0.04  # of a foot's place after a plan, by such a leg [m]
 _WAY = (0.6, 1.3)  # of a walk's length, of what was asked
 
 DIRECTIONS = {
@@ -96,6 +96,8 @@ class Rehearsal:
         self._profile = profile
         self._legs = Legs(robot)
         self._size = self._legs.length / LEG
+        feet = robot.tables.feet
+        self._half_width = min(feet.left.half_width, feet.right.half_width)
 
     def rungs(self) -> Iterator[tuple[str, Callable[[], Rung]]]:
         """The name of each, and what plays it."""
@@ -196,7 +198,7 @@ class Rehearsal:
                 stepped = stepped or loop.controller.stepping
             error = np.hypot(*(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
             told = f"{IMPULSE * mass:.1f} N·s" + (", by a step" if stepped else "")
-            limit = _CALM * self._size
+            limit = _CALM * self._half_width
             return (f"the DCM still swings by {error:.3f} m" if error > limit else ""), told
 
         return play
@@ -204,8 +206,9 @@ class Rehearsal:
     def _plan(self, loop: WatchedLoop) -> tuple[str, str]:
         tables = self._robot.tables
         assert tables.footsteps is not None
-        stride = min(STRIDE * self._size, 0.9 * tables.footsteps.max_forward / 2)
-        half = tables.walking.step_width / 2
+        half, farthest = tables.walking.step_width / 2, 0.95 * tables.footsteps.max_distance
+        reach = math.sqrt(max(0.0, farthest**2 - (2 * half) ** 2))
+        stride = min(STRIDE * self._size, 0.9 * tables.footsteps.max_forward, reach)
         places = [stride * min(i, STEPS - 1) for i in range(1, STEPS + 1)]
         steps = [_Step(SIDES[i % 2], level(x, half if i % 2 == 0 else -half, 0.0, 0.0)) for i, x in enumerate(places)]
         walked = take_plan(loop, steps)
@@ -233,6 +236,6 @@ class Rehearsal:
         told = f"{seen.distance:.2f} m of {asked:.2f}, {speed:.2f} m/s"
         if not _WAY[0] * asked < seen.distance < _WAY[1] * asked:
             return f"walked {told}", told
-        if seen.dcm_error is not None and seen.dcm_error > _DCM * self._size:
+        if seen.dcm_error is not None and seen.dcm_error > _DCM * self._half_width:
             return f"the DCM swings by {seen.dcm_error * 1e3:.0f} mm", told
         return "", told
