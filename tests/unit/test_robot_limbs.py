@@ -20,7 +20,6 @@ from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.manager import MotionManager
 from valor.motion_manager.states.behavior_fsm import GUARDS
 from valor.planning.sides import Sides
-from valor.robot.checks import require_sound
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
 from valor.robot.model import controller_model, full_model
@@ -29,6 +28,7 @@ from valor.valor_ros_controller.controllers.mode_requests import ModeRefusedErro
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.model_tree import read
 from valor.valorctl import arm_motion
+from valor.valorctl.robot_check import examine
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
@@ -63,7 +63,7 @@ def core(robot: RobotDescription) -> Core:
 
 
 def test_it_is_sound(robot: RobotDescription) -> None:
-    require_sound(robot)
+    assert not examine(robot.folder).faults
 
 
 @pytest.mark.parametrize("profile", ["ideal", "hardware"])

@@ -14,7 +14,8 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
-from valor.robot.model import WHOLE_BODY_GROUPS, Model, controller_model, full_model
+from valor.robot.model import Model, controller_model, full_model
+from valor.robot.tables import WHOLE_BODY_GROUPS
 
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}
 FULL = {name: full_model(robot, "collision") for name, robot in ALL.items()}

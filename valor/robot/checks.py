@@ -1,11 +1,11 @@
-"""Whether robot.yaml and model.xml are of the same robot, and of one that can stand: each check finds what breaks it.
+"""Whether robot.yaml and model.xml are of the same robot, and of one that stands well: each check finds what breaks it.
 
-``valorctl up`` asks before it starts anything. Rules that need no model stand in ``rules.py``.
+Rules that need no model stand in ``rules.py``, what is asked of the drives in ``drive_checks.py``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,10 +21,10 @@ from valor.robot.tables import Foot
 
 SIDES = ("left", "right")
 SOLE_HEIGHT = 0.01  # of a sole from the ground in the nominal posture, at most [m]
+SOLE_PLANE = 0.005  # of a sole from the underside of its foot's geoms, at most [m]
 SOLE_TILT = 0.02  # of a sole from level, and of its heading from the base's, at most [rad]
 SOLE_SIZE = 0.02  # of a sole's edges from those of the foot's geoms, at most [m]
-COM_MARGIN = 0.02  # of the CoM inside both soles' edges, at least [m]
-STIFFNESS_MARGIN = 1.1  # of the ankles' servos over what the robot's weight asks of them
+COM_MARGIN = 0.25  # of the CoM inside both soles' edges, at least, of a sole's half width
 LEG_TOLERANCE = 0.05  # of hip_height from the nominal posture's [m]
 SIZE_TOLERANCE = 0.03  # of size from the model's, as a share
 
@@ -219,6 +219,35 @@ def _footprint(stance: Stance, foot: Foot) -> FloatArray:
     return np.array(points)
 
 
+def soles_lie_on_their_geoms(stance: Stance) -> Iterator[TableError]:
+    """A sole's plane is that of the foot's underside."""
+    for side in SIDES:
+        foot = stance.foot(side)
+        origin, rotation = stance.site(foot.sole)
+        geoms = np.flatnonzero(stance.model.mj.geom_bodyid == stance.model.body(foot.body))
+        depths = [((_corners(stance, int(geom)) - origin) @ rotation)[:, 2].min() for geom in geoms]
+        lowest = float(min(depths, default=0.0))
+        if abs(lowest) > SOLE_PLANE:
+            where = f"{abs(lowest):.3f} m {'below' if lowest > 0 else 'above'} the lowest geom of {foot.body}"
+            yield TableError(("feet", side, "sole"), f"got {foot.sole!r}, which is {where}; expected it there")
+
+
+def _corners(stance: Stance, geom: int) -> FloatArray:
+    """(k, 3) of a geom's surface or of the box around it, in the world [m]."""
+    mj, data = stance.model.mj, stance.data
+    rotation = data.geom_xmat[geom].reshape(3, 3)
+    if mj.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(mj.geom_dataid[geom])
+        points = np.asarray(mj.mesh_vert[mj.mesh_vertadr[mesh] :][: mj.mesh_vertnum[mesh]], dtype=np.float64)
+    elif mj.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
+        points = mj.geom_size[geom][0] * np.concatenate([np.eye(3), -np.eye(3)]) @ rotation
+    else:
+        signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+        points = mj.geom_aabb[geom, :3] + signs * mj.geom_aabb[geom, 3:]
+    corners: FloatArray = data.geom_xpos[geom] + points @ rotation.T
+    return corners
+
+
 def feet_stand_apart(stance: Stance) -> Iterator[TableError]:
     """In the nominal posture, and as narrow as steps may be, the soles do not stand on each other."""
     footsteps, width = stance.robot.tables.footsteps, sum(stance.foot(side).half_width for side in SIDES)
@@ -231,22 +260,44 @@ def feet_stand_apart(stance: Stance) -> Iterator[TableError]:
 
 def nothing_touches(stance: Stance) -> Iterator[TableError]:
     """In the nominal posture the robot does not touch itself."""
-    mj = stance.model.mj
-    for contact in stance.data.contact[:1]:
-        one, other = (mj.body(mj.geom_bodyid[geom]).name for geom in contact.geom)
+    for one, other in touching(stance.model, stance.data):
         yield TableError(("nominal_posture",), f"{one} touches {other}; expected nothing to touch")
+
+
+def touching(model: Model, data: mujoco.MjData) -> list[tuple[str, str]]:
+    """Pairs of bodies in contact, each once."""
+    mj = model.mj
+    pairs = (sorted(mj.body(mj.geom_bodyid[geom]).name for geom in contact.geom) for contact in data.contact)
+    return sorted({(one, other) for one, other in pairs})
+
+
+def arm_presets_touch_nothing(stance: Stance) -> Iterator[TableError]:
+    """Either arm alone, or both, at a preset of theirs: the robot does not touch itself."""
+    model, data = stance.model, mujoco.MjData(stance.model.mj)
+    for preset, postures in stance.robot.tables.arm_presets.items():
+        alone = set[tuple[str, str]]()
+        for sides in (*((side,) for side in postures), tuple(postures)):
+            data.qpos[:] = model.nominal_qpos()
+            for side in sides:
+                for name, angle in postures[side].items():
+                    data.qpos[model.mj.joint(name).qposadr[0]] = angle
+            mujoco.mj_forward(model.mj, data)
+            for one, other in sorted(set(touching(model, data)) - alone):
+                alone.add((one, other))
+                both = "" if len(sides) == 1 else " with both arms"
+                path = ("arm_presets", preset, *(sides if len(sides) == 1 else ()))
+                yield TableError(path, f"{one} touches {other}{both}; expected nothing to touch")
 
 
 def pairs_are_kept_apart(stance: Stance) -> Iterator[TableError]:
     """In the nominal posture all that is kept apart is farther apart than it is kept."""
     collision, model = stance.robot.tables.self_collision, stance.model
     for place, pair in enumerate(collision.pairs):
-        for body in pair:
-            if not (model.mj.geom_bodyid == model.body(body)).any():
-                yield TableError(
-                    ("self_collision", "pairs", str(place)), f"got {body!r}, which has no geoms that collide"
-                )
-                return
+        bare = [body for body in pair if not (model.mj.geom_bodyid == model.body(body)).any()]
+        if bare:
+            what = f"got {bare[0]!r}, which has no geoms that collide"
+            yield TableError(("self_collision", "pairs", str(place)), what)
+            continue
         one, other = (model.shape(body) for body in pair)
         apart = mujoco.mj_geomDistance(model.mj, stance.data, one, other, 1.0, None)
         if apart < collision.distance:
@@ -257,8 +308,9 @@ def pairs_are_kept_apart(stance: Stance) -> Iterator[TableError]:
 def the_com_is_over_the_soles(stance: Stance) -> Iterator[TableError]:
     """In the nominal posture the CoM is well inside the convex hull of both soles."""
     inside = com_margin(stance)
-    if inside < COM_MARGIN:
-        what = f"puts the CoM {inside:.3f} m inside the soles' edges; expected at least {COM_MARGIN}"
+    least = COM_MARGIN * min(stance.foot(side).half_width for side in SIDES)
+    if inside < least:
+        what = f"puts the CoM {inside:.3f} m inside the soles' edges; expected at least {least:.3f}"
         yield TableError(("nominal_posture",), what)
 
 
@@ -278,47 +330,6 @@ def com_margin(stance: Stance) -> float:
             elif sides.max() < 1e-9:
                 margin = min(margin, float((a - com) @ normal))
     return margin
-
-
-def joints_can_carry_the_robot(stance: Stance) -> Iterator[TableError]:
-    """No joint needs more than its effort limit in the nominal posture."""
-    for name, share in effort_shares(stance).items():
-        if share > 1:
-            effort = stance.robot.tables.joints[name].effort
-            what = f"got {effort}; expected at least {share * effort:.1f} N·m, which the nominal posture needs"
-            yield TableError(("joints", name, "effort"), what)
-
-
-def effort_shares(stance: Stance) -> dict[str, float]:
-    """What each joint needs in the nominal posture, as a share of its limit.
-
-    The feet share the weight by the CoM's place between them.
-    """
-    model, robot = stance.model, stance.robot
-    torque: FloatArray = stance.data.qfrc_bias.copy()
-    places = [stance.site(stance.foot(side).sole)[0] for side in SIDES]
-    across = places[0] - places[1]
-    share = float(np.clip((stance.com - places[1]) @ across / (across @ across), 0, 1))
-    for side, place, load in zip(SIDES, places, (share, 1 - share), strict=True):
-        point = np.array([stance.com[0], place[1], place[2]])
-        jacobian = np.zeros((3, model.mj.nv))
-        mujoco.mj_jac(model.mj, stance.data, jacobian, None, point, model.body(stance.foot(side).body))
-        torque -= jacobian[2] * stance.weight * load
-    shares = np.abs(torque[model.dof]) / robot.effort_limit[model.joint_indices]
-    return dict(zip(model.joints, shares.tolist(), strict=True))
-
-
-def servos_hold_the_robot_up(stance: Stance) -> Iterator[TableError]:
-    """In Stand Prep the robot stands on its ankles' servos alone: they are stiffer than an inverted pendulum."""
-    ankles = [stance.pitch_joints(side)[-1:] for side in SIDES]
-    if not all(ankles):
-        yield TableError(("groups", "left_leg"), "expected joints that turn about the lateral axis")
-        return
-    needed = STIFFNESS_MARGIN * stance.weight * float(stance.com[2])
-    found = sum(stance.robot.tables.joints[ankle].servo.stiffness for [ankle] in ankles)
-    if found < needed:
-        what = f"{found:g} N·m/rad in both ankles; expected at least {needed:.0f}, or the robot falls in Stand Prep"
-        yield TableError(("joints", ankles[0][0], "servo", "stiffness"), what)
 
 
 def the_size_is_the_models(stance: Stance) -> Iterator[TableError]:
@@ -344,44 +355,3 @@ def legs_are_as_long_as_walking_says(stance: Stance) -> Iterator[TableError]:
         if walking.leg_reach >= length:
             what = f"got {walking.leg_reach}; expected less than the straight leg's {length:.3f}"
             yield TableError(("walking", "leg_reach"), what)
-
-
-def servos_are_damped(stance: Stance) -> Iterator[TableError]:
-    """With an actuator profile's torque lag T a servo oscillates whose damping is below T times its stiffness."""
-    for profile, actuators in stance.robot.tables.actuators.items():
-        for name, joint in stance.robot.tables.joints.items():
-            if (least := actuators.torque_lag * joint.servo.stiffness) > joint.servo.damping:
-                what = f"got {joint.servo.damping}; expected at least {least:g}, for the torque lag of {profile}"
-                yield TableError(("joints", name, "servo", "damping"), what)
-
-
-CHECKS: tuple[Callable[[Stance], Iterator[TableError]], ...] = (
-    sites_are_on_their_bodies,
-    torso_is_below_the_chest,
-    sides_are_where_they_are_said_to_be,
-    groups_are_what_they_are_called,
-    soles_stand_on_the_ground,
-    soles_are_as_large_as_the_feet,
-    feet_stand_apart,
-    the_com_is_over_the_soles,
-    nothing_touches,
-    pairs_are_kept_apart,
-    the_size_is_the_models,
-    legs_are_as_long_as_walking_says,
-    joints_can_carry_the_robot,
-    servos_hold_the_robot_up,
-    servos_are_damped,
-)
-"""In the order in which they are tried: a check may count on those before it."""
-
-
-def require_sound(robot: RobotDescription) -> None:
-    """Try every check.
-
-    Raises:
-        ConfigurationError: what the first of them found, with file, line and key.
-    """
-    stance = Stance(robot)
-    for check in CHECKS:
-        for broken in check(stance):
-            raise robot.error(broken.path, broken.what)

@@ -7,6 +7,7 @@ Limits live in ``robot.yaml`` and are written into the models from there, so tha
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
@@ -18,9 +19,9 @@ from msgspec import structs
 
 from valor.common.arrays import FloatArray
 from valor.common.document import Document
-from valor.common.errors import ConfigurationError
-from valor.common.table import Table, TableError, checked
-from valor.robot.rules import RULES
+from valor.common.errors import ConfigurationError, SeveralFaultsError
+from valor.common.table import Table, TableError, checked, faults
+from valor.robot.rules import broken_rules
 from valor.robot.size import Size, completed, factors
 from valor.robot.tables import Feet, RobotTables
 
@@ -39,6 +40,20 @@ class _Proportions(Table, forbid_unknown_fields=False):
         return factors(self.size, min(self.feet.left.half_width, self.feet.right.half_width))
 
 
+def read_tables(file: Path) -> RobotTables:
+    """The tables of a robot.yaml, with the defaults of its size.
+
+    Raises:
+        ConfigurationError: keys are missing or wrong; a line for each.
+    """
+    document = Document.load(file)
+    content = document.content
+    with contextlib.suppress(TableError):  # told with all others
+        content = completed(RobotTables, content, checked(_Proportions, content).factors())
+    SeveralFaultsError.require_none(document.error(each.path, each.what) for each in faults(RobotTables, content))
+    return checked(RobotTables, content)
+
+
 class RobotDescription:
     """A robot's tables with what follows from them.
 
@@ -48,19 +63,23 @@ class RobotDescription:
         joints: joint names, in the order of every joint vector, length n.
     """
 
-    def __init__(self, folder: Path, tables: RobotTables) -> None:
+    def __init__(self, folder: Path, tables: RobotTables, ruled: bool = True) -> None:
         """Of tables that fit each other.
 
+        Args:
+            folder: of the robot.
+            tables: robot.yaml.
+            ruled: whether they must keep the rules of ``rules.py``; without, only what is sound in them can be used.
+
         Raises:
-            ConfigurationError: they break a rule (``rules.py``).
+            ConfigurationError: they break rules; a line for each fault.
         """
         self.folder = folder
         self.tables = tables
         self.joints: tuple[str, ...] = tuple(tables.joints)
         self._read: dict[type[Table], Table] = {}
-        for rule in RULES:
-            for broken in rule(tables):
-                raise self.error(broken.path, broken.what)
+        if ruled:
+            SeveralFaultsError.require_none(self.error(each.path, each.what) for each in broken_rules(tables))
 
     @classmethod
     def load(cls, folder: Path, control_rate: float | None = None) -> RobotDescription:
@@ -76,12 +95,7 @@ class RobotDescription:
         file = folder / "robot.yaml"
         if not file.is_file():
             raise ConfigurationError(f"{file}: no such file; expected a robot's folder with robot.yaml")
-        document = Document.load(file)
-        try:
-            proportions = checked(_Proportions, document.content)
-            tables = checked(RobotTables, completed(RobotTables, document.content, proportions.factors()))
-        except TableError as error:
-            raise document.error(error.path, error.what) from None
+        tables = read_tables(file)
         robot = cls(folder, tables)
         if not robot.model_file.is_file():
             raise robot.error(["model"], f"no file {robot.model_file}")
@@ -94,15 +108,14 @@ class RobotDescription:
             kind: its keys are those of ``RobotTables`` that are a ``Section``.
 
         Raises:
-            ConfigurationError: a key is missing or wrong; in one line with file, line and key.
+            ConfigurationError: a key is missing or wrong; a line for each, with file, line and key.
         """
         if (table := self._read.get(kind)) is None:
             sections = {name: getattr(self.tables, name) for name in kind.__struct_fields__}
             proportions = _Proportions(size=self.tables.size, feet=self.tables.feet)
-            try:
-                table = self._read[kind] = checked(kind, completed(kind, sections, proportions.factors()))
-            except TableError as error:
-                raise self.error(error.path, error.what) from None
+            content = completed(kind, sections, proportions.factors())
+            SeveralFaultsError.require_none(self.error(each.path, each.what) for each in faults(kind, content))
+            table = self._read[kind] = checked(kind, content)
         return cast("T", table)
 
     def error(self, path: Iterable[str], what: str) -> ConfigurationError:

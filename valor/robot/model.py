@@ -16,14 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError, SeveralFaultsError
 from valor.robot.description import RobotDescription
+from valor.robot.model_faults import compile_fault, model_faults
+from valor.robot.tables import WHOLE_BODY_GROUPS
 
 Indices = slice | npt.NDArray[np.intp]
 Shapes = Literal["none", "collision", "all"]
-
-WHOLE_BODY_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm")
-"""The groups whose joints the Whole-Body Controller moves; it sees the others welded."""
 
 
 class Model:
@@ -85,19 +84,8 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
         spec = mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
         raise ConfigurationError(f"{file}: {' '.join(str(error).split())}") from None
-    if spec.compiler.degree:
-        raise ConfigurationError(f"{file}: compiler.angle: expected radian, as in robot.yaml")
-    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    if len(free) != 1:
-        raise ConfigurationError(f"{file}: {len(free)} free joints; expected one, the base's")
-    if (base := free[0].parent.name) != robot.tables.base:
-        raise robot.error(["base"], f"got {robot.tables.base!r}; expected {base!r}, which has the free joint")
+    SeveralFaultsError.require_none(model_faults(robot, spec))
     actuated = {joint.name: joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
-    for name in robot.joints:
-        if name not in actuated:
-            raise robot.error(["joints", name], f"expected a hinge of {file.name}")
-    if missing := set(actuated) - set(robot.joints):
-        raise robot.error(["joints"], f"expected all hinges of {file.name}; missing: {', '.join(sorted(missing))}")
     for name, table in robot.tables.joints.items():
         joint = actuated[name]
         joint.armature = table.armature
@@ -112,7 +100,6 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
     for mesh in list(spec.meshes):  # reading those of no shape would take seconds
         if (mesh.name or Path(mesh.file).stem) not in used:
             spec.delete(mesh)
-    _check_names(robot, spec)
     spec.option.timestep = robot.tables.physics_step
     return spec
 
@@ -143,7 +130,7 @@ def _compiled(robot: RobotDescription, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise ConfigurationError(f"{robot.model_file}: {' '.join(str(error).split())}") from None
+        raise compile_fault(robot, str(error)) from None
 
 
 def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
@@ -159,40 +146,6 @@ def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
     body.pos = body.pos + before - after
     body.quat = orientation
     spec.delete(joint)
-
-
-def _check_names(robot: RobotDescription, spec: mujoco.MjSpec) -> None:
-    """Every body and site that robot.yaml names is in the model."""
-    tables, model = robot.tables, robot.tables.model
-    bodies, sites = {body.name for body in spec.bodies}, {site.name for site in spec.sites}
-    feet = [("left", tables.feet.left), ("right", tables.feet.right)]
-    hands = list(tables.hands.present())
-    named_bodies: list[tuple[tuple[str, ...], str]] = [
-        (("base",), tables.base),
-        (("chest",), tables.chest),
-        *([] if tables.head is None else [(("head",), tables.head)]),
-        *((("feet", side, "body"), foot.body) for side, foot in feet),
-        *((("hands", side, "body"), hand.body) for side, hand in hands),
-        *(
-            (("self_collision", "pairs", str(i)), body)
-            for i, pair in enumerate(tables.self_collision.pairs)
-            for body in pair
-        ),
-    ]
-    named_sites: list[tuple[tuple[str, ...], str]] = [
-        (("imu", "site"), tables.imu.site),
-        *((("feet", side, "sole"), foot.sole) for side, foot in feet),
-        *((("hands", side, "site"), hand.site) for side, hand in hands),
-    ]
-    named_frames = [(("link_frames", frame), name) for frame, name in tables.link_frames.items()]
-    for what, known, named in (
-        ("body", bodies, named_bodies),
-        ("site", sites, named_sites),
-        ("body or site", bodies | sites, named_frames),
-    ):
-        for path, name in named:
-            if name not in known:
-                raise robot.error(path, f"got {name!r}; expected a {what} of {model}")
 
 
 def _indices(places: Iterable[int]) -> Indices:

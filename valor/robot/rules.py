@@ -5,6 +5,7 @@ Rules that need the robot's geometry stand in ``checks.py``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 
 from valor.common.table import TableError
@@ -12,6 +13,8 @@ from valor.robot.tables import RobotTables
 
 REQUIRED_GROUPS = ("left_leg", "right_leg")
 """What a robot cannot stand without. Any other limb may be lacking, its group empty or absent."""
+
+LEG_JOINTS = 6
 
 
 def groups_are_there(tables: RobotTables) -> Iterator[TableError]:
@@ -38,6 +41,14 @@ def every_joint_is_in_one_group(tables: RobotTables) -> Iterator[TableError]:
             yield TableError(("joints", joint), "in no group; expected it in one of groups")
 
 
+def legs_have_six_joints(tables: RobotTables) -> Iterator[TableError]:
+    """A leg has six joints, by which its sole can be put in any pose."""
+    for group in REQUIRED_GROUPS:
+        if (members := tables.group(group)) and len(members) != LEG_JOINTS:
+            what = f"{len(members)} joints; expected {LEG_JOINTS}, by which a sole can be put in any pose"
+            yield TableError(("groups", group), what)
+
+
 def postures_are_within_limits(tables: RobotTables) -> Iterator[TableError]:
     """Nominal posture, presets and calibration pose name joints of theirs, within the joints' limits."""
     everything = list(tables.joints)
@@ -58,7 +69,10 @@ def _posture(
             what = "one of joints" if len(members) == len(tables.joints) else f"one of {', '.join(members) or 'none'}"
             yield TableError((*path, name), f"unknown joint; expected {what}")
             continue
-        joint = tables.joints[name]
+        if (joint := tables.joints.get(name)) is None:  # which a rule of groups tells
+            continue
+        if joint.lower is None and abs(angle) > math.tau:
+            yield TableError((*path, name), f"got {angle}; expected radians, at most a turn")
         if joint.lower is not None and joint.upper is not None and not joint.lower <= angle <= joint.upper:
             yield TableError((*path, name), f"got {angle}; expected {joint.lower} to {joint.upper}, the joint's limits")
 
@@ -130,6 +144,7 @@ def every_joint_has_one_device(tables: RobotTables) -> Iterator[TableError]:
 RULES: tuple[Callable[[RobotTables], Iterator[TableError]], ...] = (
     groups_are_there,
     every_joint_is_in_one_group,
+    legs_have_six_joints,
     postures_are_within_limits,
     offsets_name_joints,
     gears_name_joints_or_groups,
@@ -138,4 +153,10 @@ RULES: tuple[Callable[[RobotTables], Iterator[TableError]], ...] = (
     steps_fit_each_other,
     every_joint_has_one_device,
 )
-"""In the order in which they are tried: a rule may count on those before it."""
+"""In the order in which they are tried."""
+
+
+def broken_rules(tables: RobotTables) -> Iterator[TableError]:
+    """What breaks any of them."""
+    for rule in RULES:
+        yield from rule(tables)

@@ -13,6 +13,9 @@ from valor.devices.table import Calibration, SupplyLimits
 from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Walking
 from valor.robot.size import Force, Size
 
+WHOLE_BODY_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm")
+"""The groups whose joints the Whole-Body Controller moves; it sees the others welded."""
+
 Turn = Annotated[float, Meta(ge=-13, le=13)]
 """Two turns either way [rad]: more is in degrees."""
 Share = Annotated[float, Meta(ge=0, lt=1)]

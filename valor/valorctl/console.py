@@ -20,8 +20,9 @@ def say(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """A line on stderr."""
-    print(f"valorctl: {text}", file=sys.stderr, flush=True)
+    """A line on stderr; of several faults, one each."""
+    for line in text.splitlines():
+        print(f"valorctl: {line}", file=sys.stderr, flush=True)
 
 
 def say_json(content: Any, one_line: bool = False) -> None:

@@ -26,8 +26,8 @@ from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES
 from valor.valorctl import mode_names, recording_options
 from valor.valorctl.profile import Profile
+from valor.valorctl.robot_check import require_sound
 from valor.valorctl.ros_domain import daemon_ports
-from valor.whole_body.tuning_tables import Tuning
 
 OTHERS = 0o077  # what a mode grants to anybody but the owner
 
@@ -69,7 +69,10 @@ def plan(request: Request) -> Plan:
     file = profile_file(request.profile)
     profile = Profile.load(file)
     defaults = profile.defaults
-    robot = RobotDescription.load(_robot_folder(request, defaults.robot, file), profile.control_rate)
+    folder = _robot_folder(request, defaults.robot, file)
+    # A robot that somebody is to move must be one that can stand.
+    moved = {"comms_manager", "motion_manager"}.intersection(profile.processes)
+    robot = (require_sound if moved else RobotDescription.load)(folder, profile.control_rate)
     _check(robot, profile, file)
     settings = Settings(
         profile=request.profile,
@@ -115,18 +118,13 @@ def _robot_folder(request: Request, default: str, file: Path) -> Path:
 
 
 def _check(robot: RobotDescription, profile: Profile, file: Path) -> None:
-    """A robot that somebody is to move must be one that can stand, and profile and robot must fit each other."""
-    robot.read(Tuning)
+    """Profile and robot must fit each other."""
     known = [f"can{device.bus}" if hasattr(device, "bus") else name for name, device in robot.tables.devices.items()]
     for port in profile.ports:
         if port not in known:
             raise Document.load(file).error(("ports", port), expected(port, known))
     if not {"comms_manager", "motion_manager"}.intersection(profile.processes):
         return
-    from valor.robot import checks, get_up_table  # with MuJoCo: a fifth of a second
-
-    checks.require_sound(robot)
-    get_up_table.load(robot)
     if profile.variant == "simulation":
         _check_period(robot, profile, file)
     elif not robot.tables.devices:

@@ -17,7 +17,7 @@ from valor.common.messages import JointMode, Motor
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
-from valor.robot.model import WHOLE_BODY_GROUPS
+from valor.robot.tables import WHOLE_BODY_GROUPS
 from valor.whole_body.state import WholeBodyCommand
 
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
