@@ -247,6 +247,7 @@ def _with_value(what: str, content: Any, path: Sequence[str]) -> str:
 def _unit(kind: Any, parts: Sequence[str]) -> str:
     """Of the number at a place, with a blank before it: of its ``Meta(extra={"unit": ...})``; empty if it says none."""
     inner = [each for outer in _types(kind, parts[:-1]) for part in parts[-1:] for each in _parts(outer, part)]
+    inner = inner if parts else [msgspec.inspect.type_info(kind)]
     found = [one for each in inner for one in (each.types if isinstance(each, msgspec.inspect.UnionType) else [each])]
     units = (each.extra.get("unit") for each in found if isinstance(each, msgspec.inspect.Metadata) and each.extra)
     return "".join(f" {unit}" for unit in units if unit)

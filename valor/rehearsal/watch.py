@@ -24,7 +24,7 @@ class Numbers:
         tilt: largest, of the base from upright [rad].
         dcm_error: RMS, of the worst axis [m]; None: nothing controlled it.
         distance: of the base, from above [m].
-        knee_margin: least, of a knee from its stops [rad].
+        knee_margin: least, of a knee from its stops [rad]; None: it has none.
         at_limit: joint → share of the periods in which its torque was at the limit; those that ever were.
         unsolved: periods whose QP had no solution.
     """
@@ -32,7 +32,7 @@ class Numbers:
     tilt: float
     dcm_error: float | None
     distance: float
-    knee_margin: float
+    knee_margin: float | None
     at_limit: dict[str, float]
     unsolved: int
 
@@ -92,7 +92,7 @@ class WatchedLoop(ClosedLoop):
             tilt=self._tilt,
             dcm_error=float(np.sqrt(self._squares / periods).max()) if self._periods else None,
             distance=float(np.hypot(*(self.plant.data.qpos[:2] - self._start))),
-            knee_margin=self._knee_margin,
+            knee_margin=self._knee_margin if math.isfinite(self._knee_margin) else None,
             at_limit={name: share for name, share in shares.items() if share > 0},
             unsolved=self.command.qp_failures - self._solved_until if self._started else 0,
         )

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import msgspec
 import typer
 
+from valor.common.errors import ValorError
 from valor.common.resources import robot_folder, robots
 from valor.valorctl import completion
-from valor.valorctl.console import say
+from valor.valorctl.console import progress, rich_console, say, say_json, table
+from valor.valorctl.interruption import Interruption
+from valor.valorctl.verbs.options import Json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from valor.valorctl.robot_play import Rung
 
 robot = typer.Typer(name="robot", help="Make, check and show robots.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -27,12 +37,61 @@ def register(app: typer.Typer) -> None:
 
 
 @robot.command()
-def check(named: Named) -> None:
-    """Find what is wrong with a robot's folder."""
-    from valor.valorctl.robot_check import require_sound
+def check(
+    named: Named,
+    no_play: Annotated[bool, typer.Option("--no-play", help="Look at the folder alone.")] = False,
+    json: Json = False,
+) -> None:
+    """Find what is wrong with a robot's folder; then play it: it stands, reaches, is pushed, steps and walks."""
+    from valor.valorctl import robot_check, robot_play
 
-    require_sound(robot_folder(named))
-    say(f"{named}: sound")
+    folder = robot_folder(named)
+    findings = robot_check.examine(folder)
+    rungs: list[robot_play.Rung] = []
+    if not (no_play or findings.faults):
+        with progress() as shown, Interruption() as interruption:
+            rungs = robot_play.play(folder, interruption.check, shown.waiting)
+    if json:
+        say_json(
+            {
+                "robot": str(folder),
+                "faults": [str(fault) for fault in findings.faults],
+                "unchecked": findings.unchecked,
+                "rungs": msgspec.to_builtins(rungs),
+            }
+        )
+    findings.require_none()
+    if not json:
+        say(f"{named}: nothing wrong with its folder")
+        if rungs:
+            rich_console().print(_rungs(rungs))
+    if failed := [f"{rung.name} ({rung.profile})" for rung in rungs if not rung.passed]:
+        raise ValorError(f"{named}: {len(failed)} of {len(rungs)} rungs failed: {', '.join(failed)}")
+
+
+def _rungs(rungs: list[Rung]) -> Table:
+    """What was played, a line each."""
+    from rich.markup import escape
+
+    numbers = ("tilt [°]", r"DCM \[mm]", r"way \[m]", "knee [°]", "no QP")
+    shown = table("actuators", "rung", "", *numbers, "torque at its limit", "", numbers=numbers)
+    for rung in rungs:
+        seen, cells = rung.numbers, ["–"] * len(numbers)
+        most = ""
+        if seen is not None:
+            error, knee = seen.dcm_error, seen.knee_margin
+            cells = [
+                f"{math.degrees(seen.tilt):.1f}",
+                "–" if error is None else f"{error * 1e3:.0f}",
+                f"{seen.distance:.2f}",
+                "–" if knee is None else f"{math.degrees(knee):.0f}",
+                str(seen.unsolved),
+            ]
+            worst = sorted(seen.at_limit.items(), key=lambda each: -each[1])[:1]
+            most = "".join(f"{name} {share:.1%}" for name, share in worst)
+        verdict = "[green]ok[/]" if rung.passed else "[red]failed[/]"
+        shown.add_row(rung.profile, rung.name, verdict, *cells, most, escape(rung.reason or rung.told))
+    return shown
 
 
 @robot.command()
