@@ -28,12 +28,14 @@ class System:
         self.name = name
         self.environment = os.environ | {"VALOR_HOME": str(home), "VALOR_INSTANCE": name}
 
-    def valorctl(self, *arguments: str, expect: int = 0, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
-        """Run one verb; its exit status must be ``expect``."""
+    def valorctl(
+        self, *arguments: str, expect: int = 0, timeout: float = 120.0, folder: Path = Path("/")
+    ) -> subprocess.CompletedProcess[str]:
+        """Run one verb in a folder; its exit status must be ``expect``."""
         result = subprocess.run(
             [str(VALORCTL), *arguments],
             env=self.environment,
-            cwd="/",
+            cwd=folder,
             capture_output=True,
             text=True,
             timeout=timeout,
