@@ -19,7 +19,7 @@ from harness.places import ROBOTS
 from tests.unit.test_robots import ALL, configuration, forward
 from tests.unit.test_robots import FULL as FULL_MODELS
 from valor.common.arrays import FloatArray
-from valor.common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError, SeveralFaultsError
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model, full_model
 
@@ -180,9 +180,9 @@ def test_welded_joints_stay_at_their_nominal_angles(tmp_path: Path) -> None:
         (lambda t, x: t.update(chest="torso") or x, r"chest: got 'torso'; expected a body"),
     ],
 )  # fmt: skip
-def test_a_model_that_does_not_fit_its_tables_is_refused_in_one_line(
+def test_a_model_that_does_not_fit_its_tables_is_refused_in_a_line_each(
     tmp_path: Path, change: Callable[[dict[str, Any], str], str], message: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=message) as error:
         full_model(variant(tmp_path, change))
-    assert "\n" not in str(error.value)
+    assert len(str(error.value).splitlines()) == len(SeveralFaultsError.each(error.value))

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.errors import ConfigurationError, SeveralFaultsError
+from valor.common.errors import SeveralFaultsError
 from valor.robot.description import RobotDescription
 from valor.robot.model_faults import compile_fault, model_faults
 from valor.robot.tables import WHOLE_BODY_GROUPS
@@ -83,7 +83,7 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
-        raise ConfigurationError(f"{file}: {' '.join(str(error).split())}") from None
+        raise compile_fault(robot, str(error)) from None
     SeveralFaultsError.require_none(model_faults(robot, spec))
     actuated = {joint.name: joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE}
     for name, table in robot.tables.joints.items():

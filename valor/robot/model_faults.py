@@ -13,7 +13,7 @@ from valor.robot.description import RobotDescription
 from valor.robot.tables import WHOLE_BODY_GROUPS
 
 _COMPLAINT = re.compile(r"(?:Error: )?(?P<what>.*?)(?:\s*Element(?: name '(?P<name>[^']*)')?.*)?", re.DOTALL)
-_LINE = re.compile(r"line (\d+)")
+_LINE = re.compile(r"[Ll]ine(?: number=| )(\d+)")
 
 
 def model_faults(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[ConfigurationError]:
@@ -41,7 +41,7 @@ def compile_fault(robot: RobotDescription, complaint: str) -> ConfigurationError
         return _fault(robot, r"\w+", name, what)
     line = _LINE.search(complaint)
     where = f":{line[1]}:1" if line else ""
-    return ConfigurationError(f"{robot.model_file}{where}: {what}")
+    return ConfigurationError(f"{robot.model_file}{where}: (whole file): {what}")
 
 
 def _fault(robot: RobotDescription, tag: str, name: str, what: str) -> ConfigurationError:
