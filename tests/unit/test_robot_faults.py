@@ -114,7 +114,9 @@ def told(error: ConfigurationError) -> tuple[str, int, str, str]:
 def test_a_fault_is_found_where_it_is(broken: Broken, tmp_path: Path) -> None:
     folder = folder_of(tmp_path, broken)
     faults = [told(fault) for fault in robot_check.examine(folder).faults]
-    [(file, line, key, what)] = [each for each in faults if each[2].startswith(broken.key)][:1] or [faults]
+    named = [each for each in faults if each[2].startswith(broken.key)]
+    assert named, faults
+    file, line, key, what = named[0]
     assert file == ("robot.yaml" if "feet" in key else broken.file)
     assert broken.told in what
     last = key.rpartition(".")[2]
