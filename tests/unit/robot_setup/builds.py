@@ -1,0 +1,50 @@
+"""Bodies that between them have all that makers do, and what is looked for in a folder that was made of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from harness.generated_robot import Build, mjcf
+from valor.robot.description import RobotDescription
+from valor.robot_setup.new import new_robot
+from valor.robot_setup.skeleton import Skeleton, skeleton
+from valor.robot_setup.source import Source
+
+BUILDS = {
+    "plain": Build(),
+    "3 kg on points": Build(mass=3, leg=0.22, sole="points"),
+    "180 kg, waist of three, fingers, a spring": Build(
+        mass=180, leg=1.0, waist="zyx", arm=7, fingers=True, spring=True, degrees=True, uneven=0.1
+    ),
+    "chest root, negative knees, mirrored, geared, shuffled": Build(
+        root="chest", waist="zy", hip="yxz", knee=-1, mirrored=True, gear=50, shuffled=True, floor=True
+    ),
+    "no waist, mesh soles, servos, a keyframe": Build(
+        waist="", hip="xzy", arm=5, drive="position", sole="mesh", keyframe=True
+    ),
+    "no names, no actuators, capsules": Build(named=False, drive="none", sole="capsules", arm=6),
+    "fixed in the world": Build(floating=False, hip="yzx", waist="xyz", root="chest", sensors=True, drive="none"),
+    "several joints a body": Build(together=True, waist="zyx", arm=7, root="chest", hip="xyz"),
+    "along y": Build(heading=1.5708),
+    "backwards": Build(heading=3.14159, root="chest", hip="xyz", knee=-1),
+    "neither arms nor head": Build(arm=0, neck=False, waist=""),
+}
+
+
+def written(build: Build, folder: Path) -> Path:
+    """The model's file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "maker.xml"
+    file.write_text(mjcf(build))
+    return file
+
+
+def found(build: Build, folder: Path) -> Skeleton:
+    """What is seen in the model."""
+    return skeleton(Source(written(build, folder)))
+
+
+def made(build: Build, folder: Path) -> RobotDescription:
+    """The robot of the folder that is made of it."""
+    new_robot(written(build, folder), folder / "robot", "generated")
+    return RobotDescription.load(folder / "robot")
