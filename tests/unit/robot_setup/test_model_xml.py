@@ -34,7 +34,8 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Skeleton,
 
 def seen_from_pelvis(mj: mujoco.MjModel, data: mujoco.MjData, pelvis: int, turn: FloatArray) -> FloatArray:
     """(n, 3) every body's centre of mass [m]."""
-    return (data.xipos - data.xpos[pelvis]) @ data.xmat[pelvis].reshape(3, 3) @ turn
+    places: FloatArray = (data.xipos - data.xpos[pelvis]) @ data.xmat[pelvis].reshape(3, 3) @ turn
+    return places
 
 
 @pytest.mark.parametrize("name", DRAWN)

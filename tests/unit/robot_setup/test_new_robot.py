@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -18,6 +19,8 @@ from tests.unit.robot_setup.builds import BUILDS, made, written
 from valor.common.errors import ConfigurationError
 from valor.rehearsal.closed_loop import ClosedLoop
 from valor.robot.checks import require_sound
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.robot_setup.new import new_robot
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
@@ -83,10 +86,28 @@ def test_a_robot_of_three_kilograms_stands_is_pushed_and_walks(tmp_path: Path) -
 
 
 def test_the_file_says_what_it_guessed_and_left_out(tmp_path: Path) -> None:
-    robot = made(Build(fingers=True, spring=True, drive="none"), tmp_path)
+    robot = made(Build(fingers=True, spring=True), tmp_path)
     text = robot.file.read_text()
-    assert "guessed: effort" in text
-    assert "finger_tip" in next(line for line in text.splitlines() if "Welded" in line)
+    assert "guessed: velocity" in text
+    welded = next(line for line in text.splitlines() if "Welded" in line)
+    assert all(name in welded for name in ("left_finger_tip", "right_finger_tip", "antenna"))
+    assert "antenna" not in robot.joints
+
+
+def test_a_joint_drawn_away_from_zero_has_its_zero_where_the_maker_has_it(tmp_path: Path) -> None:
+    """With ``ref`` the drawing shows the joint at that angle."""
+    text = mjcf(Build()).replace('name="left_arm_y_', 'ref="0.5" name="left_arm_y_')
+    (tmp_path / "model.xml").write_text(text)
+    new_robot(tmp_path / "model.xml", tmp_path / "robot", "generated")
+    maker = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    model = full_model(RobotDescription.load(tmp_path / "robot"), "none").mj
+    away = []
+    for mj in (maker, model):
+        data = mujoco.MjData(mj)
+        data.qpos[7:] = 0.0
+        mujoco.mj_kinematics(mj, data)
+        away.append(data.body("left_forearm").xpos - data.body("pelvis").xpos)
+    assert away[1] == pytest.approx(away[0], abs=1e-6)
 
 
 def test_names_that_files_do_not_take_are_replaced(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -105,7 +106,12 @@ def test_the_same_body_has_the_same_roles_however_it_is_built(built: Build, tmp_
     st.floats(-np.pi, np.pi),
 )
 def test_any_hips_waist_and_arms_are_seen(
-    tmp_path_factory: pytest.TempPathFactory, hip: str, waist: str, arm: int, root: str, heading: float
+    tmp_path_factory: pytest.TempPathFactory,
+    hip: str,
+    waist: str,
+    arm: int,
+    root: Literal["pelvis", "chest"],
+    heading: float,
 ) -> None:
     heading = round(heading / (np.pi / 2)) * np.pi / 2
     seen = found(Build(hip=hip, waist=waist, arm=arm, root=root, heading=heading), tmp_path_factory.mktemp("model"))
