@@ -25,9 +25,9 @@ from harness.generated_robot import Build, mjcf
 from harness.places import REPOSITORY
 from harness.system import System, running
 from valor.common.errors import ConfigurationError
-from valor.robot.checks import require_sound
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
+from valor.robot.soundness import examine
 from valor.robot_setup.new import new_robot
 
 BUILD = REPOSITORY / "build"
@@ -110,8 +110,7 @@ def made(name: str, model: Model) -> dict[str, Any]:
         return result | {"refused": str(error).removeprefix(f"{model.file(name)}: ")}
     result["seconds"] = round(time.monotonic() - began, 1)
     try:
-        robot = RobotDescription.load(folder)
-        require_sound(robot)
+        robot = examine(folder).require_none()
     except ConfigurationError as error:
         return result | {"unsound": str(error).removeprefix(f"{folder}/")}
     mj = full_model(robot, "none").mj

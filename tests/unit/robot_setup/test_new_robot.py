@@ -18,9 +18,9 @@ from harness.generated_robot import Build, mjcf
 from tests.unit.robot_setup.builds import BUILDS, made, written
 from valor.common.errors import ConfigurationError
 from valor.rehearsal.closed_loop import ClosedLoop
-from valor.robot.checks import require_sound
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
+from valor.robot.soundness import examine
 from valor.robot_setup.new import new_robot
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
@@ -29,7 +29,7 @@ from valor.whole_body.walking.velocity_steps import VelocitySteps
 def test_the_folder_is_sound(name: str, tmp_path: Path) -> None:
     build = BUILDS[name]
     robot = made(build, tmp_path)
-    require_sound(robot)
+    examine(robot.folder).require_none()
     foot = robot.tables.feet.left
     if build.sole != "capsules":
         assert (foot.heel, foot.toe, foot.half_width) == pytest.approx(build.heel_toe_half_width, abs=1.5e-3)
@@ -62,7 +62,7 @@ def test_any_build_is_sound(tmp_path_factory: pytest.TempPathFactory, build: Bui
     size = Build(
         **{field: getattr(build, field) for field in build.__dataclass_fields__} | {"leg": 0.18 * build.mass ** (1 / 3)}
     )
-    require_sound(made(size, tmp_path_factory.mktemp("robot")))
+    examine(made(size, tmp_path_factory.mktemp("robot")).folder).require_none()
 
 
 def test_a_robot_of_three_kilograms_stands_is_pushed_and_walks(tmp_path: Path) -> None:
