@@ -27,7 +27,7 @@ from valor.common.messages import GroundTruth, MotionState, Proprioceptor
 from valor.common.processes import BY_NAME as PROCESSES_BY_NAME
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
-from valor.valorctl import demonstration
+from valor.valorctl import startup
 from valor.valorctl.console import Progress
 from valor.valorctl.experiments.experiment import Options
 from valor.valorctl.experiments.table import BY_NAME
@@ -152,7 +152,7 @@ def test_an_experiment_tells_what_each_process_takes(
 ) -> None:
     """On the system that stands, in the place of one of its own."""
     instance = Instance(case.system.name, case.home)
-    monkeypatch.setattr(demonstration, "running", lambda *_: nullcontext(instance.settings()))
+    monkeypatch.setattr(startup, "running", lambda *_: nullcontext(instance.settings()))
     experiment, options = BY_NAME["process-stats"], Options(tmp_path, quick=True)
     result, file = experiment.perform(instance, options, Progress(), Interruption())
     assert Result.load(file.parent) == result

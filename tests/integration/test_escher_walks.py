@@ -122,7 +122,9 @@ def test_takes_a_footstep_plan_changes_it_on_the_way_and_stands(instance: Runnin
         return status is not None and status.executing_step_index == index
 
     wait_until(lambda: executing(1), 60.0, "step 1")
-    assert "step 1 cannot be changed" in system.plan(footsteps(1, 2, STEP_LENGTH)).reason
+    moved = footsteps(1, 2, STEP_LENGTH)
+    moved[0].position_in_odom[0] += 0.05
+    assert "step 1 cannot be changed" in system.plan(moved).reason
     longer = footsteps(2, 4, 2 * STEP_LENGTH)
     reply = system.plan(longer)
     assert reply.accepted, reply.reason
