@@ -79,8 +79,8 @@ demo: $(STAMP)
 # Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other; beside
 # them the rest, and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even where
 # PYTHONDONTWRITEBYTECODE is set.
-BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsubst %,test_%.py,demo_walk experiments \
-  getting_up installed wheels))
+BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsubst %,test_%.py,adding_a_robot demo_walk \
+  experiments getting_up installed legs_alone wheels))
 TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 test: $(STAMP) lint
 	@{ status=0; $(TESTS) -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance || status=1; \

@@ -7,13 +7,12 @@ ROS_DOMAIN_ID):
 
     python stand_and_reach.py [--json FILE] [--postures FILE]
 
-It reaches by how an arm's joints are usually called. An arm whose joints are called otherwise needs two postures told,
-joint by joint [rad]: ``{"forward": {…}, "aside": {…}}``. A robot without a neck looks nowhere.
+An arm whose joints are not called as usual is told two postures, by joint [rad]: ``{"forward": {…}, "aside": {…}}``.
 
 ``perform`` is the whole motion; ``Robot`` shows how each part of it is done over ROS 2.
 
-Exit status: 0 when every goal succeeded and every joint ended within 0.02 rad of its goal; 1 otherwise, with one line
-on standard error that says why; 130 when interrupted, after the running motion is canceled.
+Exit status: 0 when every joint ended within 0.02 rad of its goal; 1 otherwise, with a line on standard error;
+130 when interrupted, after the running motion is canceled.
 """
 
 from __future__ import annotations
@@ -62,9 +61,7 @@ Point = tuple[float, Posture]  # of a trajectory: when at the earliest [s], and 
 
 # Postures by how a joint's name ends. What is not named is 0; what a robot has no such joint for is left out.
 FORWARD: Posture = {"shoulder_pitch": -0.7, "shoulder_roll": -0.15, "elbow_pitch": 0.3, "wrist_pitch": 0.2}
-ASIDE: Posture = {
-    "shoulder_pitch": -0.9, "shoulder_roll": -0.6, "shoulder_yaw": -0.3, "elbow_pitch": 0.9, "elbow_roll": 0.4,
-}  # fmt: skip
+ASIDE = {"shoulder_pitch": -0.9, "shoulder_roll": -0.6, "shoulder_yaw": -0.3, "elbow_pitch": 0.9, "elbow_roll": 0.4}
 LOOK_ASIDE: Posture = {"yaw": -0.5, "pitch": 0.25}
 LOOK_AHEAD: Posture = {}
 REACH = ("shoulder_pitch", "elbow_pitch")  # without these, an arm does not reach
@@ -77,7 +74,6 @@ AVERAGE = 0.3  # of robot time, over which they are averaged [s]
 PATIENCE = 20.0  # with topics and actions to appear, with answers, with a change of mode [s]
 CANCEL = 3.0  # [s]
 SLOWEST = 0.1  # real-time factor below which a motion is given up
-
 
 say = partial(print, flush=True)  # at once, in a pipe too
 
@@ -128,6 +124,8 @@ def perform(robot: Robot, told: dict[str, Posture]) -> tuple[list[ModeChange], l
         say(f"control mode {mode} after {1e3 * changes[-1].latency:.0f} ms")
 
     def follow(name: str, controller: str, *points: Point) -> None:
+        if not points[0][1]:
+            return  # a robot without a neck looks nowhere
         motions.append(motion := robot.follow(name, controller, list(points)))
         say(
             f"{name}: done in {motion.seconds:.1f} s, largest error {motion.max_error:.4f} rad ({motion.worst_joint}), "
@@ -137,23 +135,18 @@ def perform(robot: Robot, told: dict[str, Posture]) -> tuple[list[ModeChange], l
     arm, neck = robot.joints_of(ARM), robot.joints_of(NECK)
     if not arm:
         raise ClientError(f"{CONTROLLERS} knows no {ARM}: the robot has no arm to reach with")
-    reach = {"forward": FORWARD, "aside": ASIDE}
-    if not all(any(joint.endswith(end) for joint in arm) for end in REACH):
-        reach = told
-    if not reach:
+    usual = all(any(joint.endswith(end) for joint in arm) for end in REACH)
+    if not (reach := {"forward": FORWARD, "aside": ASIDE} if usual else told):
         raise ClientError(f"{ARM} moves {', '.join(arm)}: to reach, it needs {' and '.join(REACH)}, or --postures")
     if robot.mode != "stand":
         change("stand")
     home = robot.settled(arm)
     change("stand_manipulate")
     forward, aside = (robot.posture(arm, reach[name]) for name in ("forward", "aside"))
-    look_aside, look_ahead = (robot.posture(neck, named) for named in (LOOK_ASIDE, LOOK_AHEAD))
     follow("right arm forward, then aside", ARM, (2.5, forward), (4.5, aside))
-    if neck:
-        follow("neck looks at the hand", NECK, (1.5, look_aside))
+    follow("neck looks at the hand", NECK, (1.5, robot.posture(neck, LOOK_ASIDE)))
     follow("right arm home", ARM, (2.0, forward), (4.5, home))
-    if neck:
-        follow("neck ahead", NECK, (1.5, look_ahead))
+    follow("neck ahead", NECK, (1.5, robot.posture(neck, LOOK_AHEAD)))
     change("stand")
     return changes, motions
 

@@ -73,9 +73,8 @@ def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = s
     limits = {robot.joint_name(j): (d.lower, d.upper) for j, d in found.items()}
     mj = _compiled(robot, parts, name, found)
     poser = Poser(mj, limits)
-    poser.middle = {side: (soles[side].heel + soles[side].toe) / 2 for side in SIDES}
     tell("having it stand")
-    stance, presets = _postures(robot, poser, limits, max(each.half_width for each in soles.values()))
+    stance, presets = _postures(robot, poser, limits, soles)
     parts.excluded = _overlapping(poser, stance.angles)
     presets = _free(poser, presets, stance.angles, set(parts.excluded)) if presets else {}
     tell("keeping limbs apart")
@@ -107,10 +106,16 @@ def _usual_name(model: Path) -> str:
 
 
 def _postures(
-    robot: Skeleton, poser: Poser, limits: dict[str, tuple[float, float]], half_width: float
+    robot: Skeleton, poser: Poser, limits: dict[str, tuple[float, float]], soles: dict[str, Sole]
 ) -> tuple[Stance, Presets]:
     """How it stands, and its arms' presets."""
-    legs = {side: Chain(tuple(map(robot.joint_name, robot.legs[side].joints)), f"{side[0]}_sole") for side in SIDES}
+    legs = {
+        side: Chain(
+            tuple(map(robot.joint_name, robot.legs[side].joints)), f"{side[0]}_sole", (each.heel + each.toe) / 2
+        )
+        for side, each in soles.items()
+    }
+    half_width = max(each.half_width for each in soles.values())
     arms = {
         side: Chain(tuple(map(robot.joint_name, limb.joints)), f"{side[0]}_gripper")
         for side, limb in robot.arms.items()

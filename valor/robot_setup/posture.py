@@ -24,6 +24,7 @@ class Chain:
 
     joints: tuple[str, ...]
     site: str
+    middle: float = 0.0  # x of a sole's middle in its site's frame [m]
 
 
 @dataclass
@@ -92,24 +93,12 @@ class Poser:
         self.put(arms)
         knees = {side: self._knee(legs[side]) for side in SIDES}
         pitch = {side: self._pitch_joints(legs[side]) for side in SIDES}
-        length = float(
-            np.mean(
-                [sum(np.linalg.norm(np.diff([self.anchor(j) for j in pitch[side]], axis=0), axis=1)) for side in SIDES]
-            )
-        )
+        length = float(np.mean([self._length(pitch[side]) for side in SIDES]))
         apart = float(np.mean([abs(self.site(legs[side].site)[0][1]) for side in SIDES]))
         apart = max(apart, 1.17 * half_width)
         names = [name for side in SIDES for name in legs[side].joints]
         low, high = (np.array([self.limits[name][i] for name in names]) for i in (0, 1))
-        bend = 2 * np.arccos(HIP_SHARE)
-        start = np.clip(np.zeros(len(names)), low + 1e-3, high - 1e-3)
-        for side in SIDES:
-            name, sign = knees[side]
-            start[names.index(name)] = np.clip(sign * bend, low[names.index(name)], high[names.index(name)])
-            for joint, share in ((pitch[side][0], -0.5), (pitch[side][-1], -0.5)):
-                turn = float(np.sign(self.data.joint(joint).xaxis[1]) * np.sign(self.data.joint(name).xaxis[1]))
-                i = names.index(joint)
-                start[i] = np.clip(share * sign * turn * bend, low[i], high[i])
+        start = self._bent(names, knees, pitch)
         self.put(arms | dict(zip(names, start, strict=True)))
         height = -float(np.mean([self.site(legs[side].site)[0][2] for side in SIDES]))
 
@@ -120,7 +109,7 @@ class Poser:
             parts: list[FloatArray | list[float]] = [_UPRIGHT * (x[:-2] - start), [1e-1 * (x[-2] - height)]]
             for side, y in (("left", apart), ("right", -apart)):
                 place, rotation = self.site(legs[side].site)
-                middle = place[0] + self.middle[side]
+                middle = place[0] + legs[side].middle
                 parts += [
                     (place[1:] - [y, -x[-2]]),
                     [place[0] - x[-1], (com[0] - middle)],
@@ -155,8 +144,25 @@ class Poser:
             (knees["left"][0], knees["right"][0]),
         )
 
-    middle: dict[str, float]
-    """By side: x of the sole's middle in its own frame [m]; set before ``stand``."""
+    def _bent(
+        self, names: Sequence[str], knees: Mapping[str, tuple[str, float]], pitch: Mapping[str, Sequence[str]]
+    ) -> FloatArray:
+        """(k,) angles to begin the search with: knees bent, hips and ankles half as much the other way [rad]."""
+        low, high = (np.array([self.limits[name][i] for name in names]) for i in (0, 1))
+        bend = 2 * np.arccos(HIP_SHARE)
+        start = np.clip(np.zeros(len(names)), low + 1e-3, high - 1e-3)
+        for side in SIDES:
+            name, sign = knees[side]
+            start[names.index(name)] = np.clip(sign * bend, low[names.index(name)], high[names.index(name)])
+            for joint, share in ((pitch[side][0], -0.5), (pitch[side][-1], -0.5)):
+                turn = float(np.sign(self.data.joint(joint).xaxis[1]) * np.sign(self.data.joint(name).xaxis[1]))
+                i = names.index(joint)
+                start[i] = np.clip(share * sign * turn * bend, low[i], high[i])
+        return start
+
+    def _length(self, pitch: Sequence[str]) -> float:
+        """From the first to the last of a leg's pitch joints, along it [m]."""
+        return float(sum(np.linalg.norm(b - a) for a, b in pairwise([self.anchor(joint) for joint in pitch])))
 
     def _hip_height(self, pitch: Sequence[str]) -> float:
         return float(self.anchor(pitch[0])[2] - self.anchor(pitch[-1])[2])
