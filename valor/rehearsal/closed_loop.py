@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior
 from valor.common.messages import JointMode, Motor
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
@@ -134,7 +135,7 @@ class ClosedLoop:
             effort=effort,
             stiffness=stiffness,
             damping=damping,
-            behavior="stand",
+            behavior=Behavior.STAND,
             writer=1,
         )
         self.plant.actuators.obey(motor)

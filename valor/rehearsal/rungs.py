@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior
 from valor.common.poses import Pose, level
 from valor.rehearsal.legs import Legs
 from valor.rehearsal.plan_walk import take_plan
@@ -103,11 +104,11 @@ class Rehearsal:
         """The name of each, and what plays it."""
         played: list[tuple[str, Callable[[WatchedLoop], tuple[str, str]], float]] = [
             ("passive", self._passive, 0.0),
-            ("stand", self._stand, 0.0),
+            (Behavior.STAND, self._stand, 0.0),
             *((f"arm {preset}", self._reach(preset), 1.0) for preset in self._preset()),
             *((f"push {name}", self._push(direction), 2.0) for name, direction in DIRECTIONS.items()),
             *((("six steps", self._plan, 2.0),) if self._robot.tables.footsteps is not None else ()),
-            ("walk", self._walk, 1.5),
+            (Behavior.WALK, self._walk, 1.5),
         ]
         for name, play, before in played:
             yield name, lambda name=name, play=play, before=before: self._played(name, play, before)  # type: ignore[misc]

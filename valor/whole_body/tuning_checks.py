@@ -17,11 +17,11 @@ def margins_fit_the_soles(robot: RobotDescription) -> Iterator[TableError]:
     """
     tuning, feet = robot.read(Tuning), robot.tables.feet
     most = min(feet.left.half_width, feet.right.half_width)
-    for path, margin in (
-        (("disturbance", "edge_margin"), tuning.disturbance.edge_margin),
-        (("fall", "dcm_margin"), tuning.fall.dcm_margin),
-        (("pelvis", "com_margin"), robot.tables.pelvis.com_margin),
-        (("whole_body", "contact_inset"), tuning.whole_body.contact_inset),
+    for key, margin in (
+        ("disturbance.edge_margin", tuning.disturbance.edge_margin),
+        ("fall.dcm_margin", tuning.fall.dcm_margin),
+        ("pelvis.com_margin", robot.tables.pelvis.com_margin),
+        ("whole_body.contact_inset", tuning.whole_body.contact_inset),
     ):
         if margin >= most:
-            yield TableError(path, f"got {margin:g}; expected less than a sole's half width, {most:g}")
+            yield TableError(key.split("."), f"got {margin:g}; expected less than a sole's half width, {most:g}")

@@ -156,7 +156,7 @@ def test_an_interrupted_up_leaves_nothing(ctl: Cli, signum: signal.Signals) -> N
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
-        ("robot.yaml", ("l_foot, sole: l_sole", "l_foot, sole: l_gripper"), ["robot.yaml:15:", "feet.left.sole"]),
+        ("robot.yaml", ("l_foot, sole: l_sole", "l_foot, sole: l_gripper"), ["robot.yaml:16:", "feet.left.sole"]),
         ("model.xml", ("<worldbody>", "<worldbody><nobody/>"), ["model.xml"]),
         ("get_up.yaml", ("face_down:", "face_up:"), ["get_up.yaml:8:1: face_up"]),
     ],
