@@ -44,6 +44,8 @@ _HEAD = """\
   </default>
 """
 
+_HIDDEN = 3  # group of geoms from which on MuJoCo's viewers show none
+
 
 @dataclass
 class Parts:
@@ -235,8 +237,9 @@ class _Writer:
         """What one sees of a body: what does not collide, else what does."""
         mj = self.mj
         mine = range(mj.body_geomadr[body], mj.body_geomadr[body] + mj.body_geomnum[body])
-        bare = [g for g in mine if not (mj.geom_contype[g] or mj.geom_conaffinity[g]) and mj.geom_rgba[g][3] > 0]
-        for geom in bare or mine:
+        shown = [g for g in mine if mj.geom_group[g] < _HIDDEN and mj.geom_rgba[g][3] > 0]
+        bare = [g for g in shown if not (mj.geom_contype[g] or mj.geom_conaffinity[g])]
+        for geom in bare or shown or mine:
             pose = _pose(
                 rotation.T @ (self.data.geom_xpos[geom] - here), rotation.T @ self.data.geom_xmat[geom].reshape(3, 3)
             )
