@@ -17,11 +17,11 @@ from valor.analysis.recording import Posture
 from valor.analysis.scene import Scene
 from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
+from valor.robot.checks import SIDES
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, full_model
 from valor.robot.soles import outline
 
-SIDES = ("left", "right")
 COLORS = {"x": "#d55e00", "y": "#009e73", "z": "#0072b2"}  # of joints' axes, by where they point in this posture
 COM, SOLE, SHAPE = "#e69f00", "#cc79a7", "#56b4e9"
 _DPI = 110

@@ -19,7 +19,7 @@ class Sides:
         Raises:
             ConfigurationError: a group of the left has another number of joints than its twin.
         """
-        robot, self._mj = model.robot, model.mj
+        robot, self._mj, self._above = model.robot, model.mj, model.joints_above
         groups = robot.tables.groups
         self._twins: dict[str, str] = {}
         for name in groups:
@@ -56,12 +56,3 @@ class Sides:
     def is_right(self, body: int) -> bool:
         """Whether a body is of the right side: a joint above it is."""
         return bool(self._right.intersection(self._above(body)))
-
-    def _above(self, body: int) -> list[str]:
-        """The joints above a body, from it upwards."""
-        mj, names = self._mj, list[str]()
-        while body:
-            first = int(mj.body_jntadr[body])
-            names += [mj.joint(first + i).name for i in reversed(range(int(mj.body_jntnum[body])))]
-            body = int(mj.body_parentid[body])
-        return names

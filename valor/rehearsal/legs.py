@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
-import numpy as np
-
 from valor.robot.checks import SIDES, Stance
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
@@ -23,8 +19,8 @@ class Legs:
         stance = Stance(robot)
         lengths = []
         for side in SIDES:
-            anchors = [stance.data.joint(name).xanchor for name in stance.pitch_joints(side)]
-            bones = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(anchors))
-            lengths.append(bones + float(anchors[-1][2] - stance.site(stance.foot(side).sole)[0][2]))
+            ankle = stance.data.joint(stance.pitch_joints(side)[-1]).xanchor
+            sole, _ = stance.site(stance.foot(side).sole)
+            lengths.append(stance.leg_length(side) + float(ankle[2] - sole[2]))
         self.length = min(lengths)
         self.knees = knees(robot).places

@@ -75,12 +75,7 @@ class Stance:
 
     def above(self, body: int) -> list[str]:
         """The joints between the base and a body, from the base on."""
-        mj, names = self.model.mj, list[str]()
-        while body:
-            first, count = mj.body_jntadr[body], mj.body_jntnum[body]
-            names += [mj.joint(i).name for i in reversed(range(first, first + count))]
-            body = int(mj.body_parentid[body])
-        return [name for name in reversed(names) if name in self.robot.index]
+        return [name for name in reversed(self.model.joints_above(body)) if name in self.robot.index]
 
     def pitch_joints(self, side: str) -> list[str]:
         """Of a leg, those that turn about the base's lateral axis, from the hip to the ankle."""

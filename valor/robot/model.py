@@ -52,6 +52,15 @@ class Model:
         """A body's id."""
         return int(self.mj.body(name).id)
 
+    def joints_above(self, body: int) -> list[str]:
+        """The joints between the world and a body, from the body upwards."""
+        names = list[str]()
+        while body:
+            first = int(self.mj.body_jntadr[body])
+            names += [self.mj.joint(first + i).name for i in reversed(range(int(self.mj.body_jntnum[body])))]
+            body = int(self.mj.body_parentid[body])
+        return names
+
     def shape(self, body: str) -> int:
         """Id of the largest geom of a body that has any."""
         geoms = np.flatnonzero(self.mj.geom_bodyid == self.body(body))

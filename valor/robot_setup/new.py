@@ -12,12 +12,13 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.robot.checks import SIDES
 from valor.robot.motion_tables import SelfCollision
 from valor.robot.size import ESCHER
 from valor.robot_setup import model_xml, robot_yaml
 from valor.robot_setup.drives import Drive, drives, inertias, tune
 from valor.robot_setup.geometry import Sole, cloud, sole
-from valor.robot_setup.posture import SIDES, Chain, Poser, Stance
+from valor.robot_setup.posture import Chain, Poser, Stance
 from valor.robot_setup.questions import Ask, Question, Tell, guess, silent
 from valor.robot_setup.skeleton import Skeleton, skeleton
 from valor.robot_setup.source import Source

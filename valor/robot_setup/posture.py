@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.robot.checks import SIDES
 
 HIP_SHARE = 0.884  # height of the hip over the ankle, of the straight leg's length: ESCHER's, and THOR's
 _UPRIGHT = 1e-3  # weight of angles that do not matter towards zero
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import hypot, sqrt
 
+from valor.robot.checks import SIDES
 from valor.robot.motion_tables import Footsteps, Walking
 from valor.robot.size import ESCHER
 from valor.robot_setup.drives import TORQUE_LAG, Drive
 from valor.robot_setup.geometry import Sole
-from valor.robot_setup.posture import SIDES, Stance
+from valor.robot_setup.posture import Stance
 from valor.robot_setup.skeleton import Skeleton
 
 WIDE = 0.85  # of a step's greatest length, from which on the width is that of a robot with its feet far apart
