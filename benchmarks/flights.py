@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
+from valor.robot.step_plan import PlanStep
 from valor.robot.tables import RobotTables
 from valor.simulation.worlds.stairs import Stairs
-from valor.valorctl.step_plan import PlanStep
 
 SWING_HEIGHT = 0.08  # between steps of stairs [m]
 STEP_DURATION, SWAY_DURATION = 1.0, 0.4  # there [s]

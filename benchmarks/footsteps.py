@@ -25,9 +25,9 @@ from harness.closed_loop import load_robot
 from valor.common.poses import level
 from valor.rehearsal.plan_walk import Walked, walk_plan
 from valor.robot.motion_tables import Footsteps
+from valor.robot.step_plan import FEET, PlanStep, load
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
-from valor.valorctl.step_plan import FEET, PlanStep, load
 
 PLANS = Path(__file__).parents[1] / "examples" / "plans"
 WORLD = {"stairs": "stairs"}  # of a plan; all others: flat

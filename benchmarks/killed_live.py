@@ -34,9 +34,9 @@ from valor.common.messages import (
 )
 from valor.common.topics import FOOTSTEP_PLAN, GROUND_TRUTH, PROPRIOCEPTOR, VELOCITY
 from valor.robot.description import RobotDescription
+from valor.robot.step_plan import FEET
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
-from valor.valorctl.step_plan import FEET
 
 SPEED = 0.3  # [m/s]
 WALKED = 3.0  # before the first phase that it may be killed at [s of robot time]

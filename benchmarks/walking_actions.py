@@ -12,10 +12,10 @@ from benchmarks.live_system import System
 from harness.places import ROBOTS
 from valor.common.behaviors import WALKING
 from valor.robot.description import RobotDescription
+from valor.robot.step_plan import PlanStep
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
 from valor.valorctl import stepping
-from valor.valorctl.step_plan import PlanStep
 from valor.valorctl.walking import Order, walk
 
 ROBOT = ROBOTS / "escher"

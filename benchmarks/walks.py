@@ -11,9 +11,9 @@ from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
+from valor.robot.step_plan import FEET, PlanStep
 from valor.simulation import worlds
 from valor.simulation.worlds.stairs import Stairs
-from valor.valorctl.step_plan import FEET, PlanStep
 from valor.whole_body.walking.footsteps import Step, level_pose
 from valor.whole_body.walking.step_queue import StepQueue
 from valor.whole_body.walking.velocity_steps import VelocitySteps

@@ -12,6 +12,7 @@ import msgspec
 import zmq
 
 from bifrost import wire
+from bifrost.clocks import OWN_CLOCK
 from bifrost.directory import Entry
 from bifrost.discovery import Discovery
 from bifrost.encoding import codec
@@ -163,12 +164,16 @@ class Client(Generic[M, R]):
         else:
             self.wait_for_server(remaining)
 
-    def _frame(self, payload: bytes, deadline: float) -> bytes:
-        """The next request as it is sent."""
+    def _frame(self, payload: bytes, deadline: float, server: Peer) -> bytes:
+        """The next request as it is sent; to another computer with the deadline by its clock, if that is known."""
+        computer, until = self._computer, int(deadline * 1e9)
+        clock = self._discovery.clock(server.computer)
+        if clock is not OWN_CLOCK and clock.known:
+            computer, until = wire.SERVERS_CLOCK, until + clock.ahead
         self._request_id = (self._request_id + 1) % 2**63
         header = wire.REQUEST.pack(
-            wire.VERSION, self._request.hash, self._reply.hash, self._request_id, self._computer,
-            int(deadline * 1e9), len(self._origin),
+            wire.VERSION, self._request.hash, self._reply.hash, self._request_id, computer,
+            until, len(self._origin),
         )  # fmt: skip
         return b"".join((self._prefix, header, self._origin, payload))
 
@@ -199,7 +204,7 @@ class Client(Generic[M, R]):
         if not peers:
             return
         self._check(peers[-1])
-        self._connect(peers[-1].entry).send(self._frame(asked.payload, asked.deadline), zmq.NOBLOCK)
+        self._connect(peers[-1].entry).send(self._frame(asked.payload, asked.deadline, peers[-1]), zmq.NOBLOCK)
         asked.server = peers[-1]
 
     def _too_late(self, asked: _Asked) -> Error:

@@ -30,6 +30,8 @@ from bifrost.network import Network
 from bifrost.security import Gate, listening_socket, new_context
 
 _log = logging.getLogger("bifrostd")
+_NOTABLE = 20_000  # change of another clock [ns]
+_UNKNOWN = 2**63  # no clock is so far ahead [ns]
 _WARNINGS = 100  # of what members may not say, at most
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG
 EXIT_PORT_TAKEN = 75  # EX_TEMPFAIL: whoever has it may give it back, so that another start is worth while
@@ -95,6 +97,7 @@ class Daemon:
         self._epoch = secrets.randbits(63)
         self._version = 0
         self._own_version = 0
+        self._clocks_told: dict[str, int] = {}
         self._refused = 0
         self._refusal = ""
         self._warned: set[str] = set()
@@ -118,7 +121,9 @@ class Daemon:
                 self._drop(incarnation, "lost")
         for link in self._links:
             if link.socket in ready:
-                self._pass_on(link.receive())
+                changes = link.receive()
+                self._tell_clocks()  # before its nodes, whose stamps are by it
+                self._pass_on(changes)
             self._pass_on(link.check())
         self._drop_silent()
         self._keepsake.update(self._version, self._table)
@@ -147,7 +152,7 @@ class Daemon:
             self._handle(_Peer(frames[0].bytes, int(frames[1].get(zmq.SRCFD)), str(frames[1].get("User-Id"))), message)
 
     def _handle(self, peer: _Peer, message: d.ToDaemon) -> None:
-        now = time.monotonic()
+        now, taken = time.monotonic(), time.monotonic_ns()
         sender, descriptor = peer.routing_id, peer.descriptor
         if isinstance(message, d.Heartbeat):
             member = self._members.get(message.incarnation)
@@ -175,6 +180,8 @@ class Daemon:
             if known is None or known.record != node:
                 self._changed(node)
             if known is None:
+                if self._clocks_told:
+                    self._send(sender, d.Clocks(self._clocks_told))
                 self._send(sender, self._table())
             else:
                 self._members[node.incarnation].counts = known.counts
@@ -188,9 +195,10 @@ class Daemon:
                 return
             self._followers[message.computer] = _Follower(sender, now)
             if (message.epoch, message.version) == (self._epoch, self._own_version):
-                self._send(sender, d.Alive(self._epoch, self._own_version))
+                self._send(sender, d.Alive(self._epoch, self._own_version, message.sent, taken))
             else:
-                self._send(sender, d.Table(self._epoch, self._own_version, self._own_nodes()))
+                table = d.Table(self._epoch, self._own_version, self._own_nodes(), message.sent, taken)
+                self._send(sender, table)
         elif isinstance(message, d.AskCounts):
             self._send(sender, self._counts(message.topic))
         else:
@@ -234,6 +242,15 @@ class Daemon:
             else:
                 self._to_members(d.Gone(self._epoch, self._version, *change))
 
+    def _tell_clocks(self) -> None:
+        """How far the other computers' clocks are ahead, if it is known better, or another."""
+        now = time.monotonic_ns()
+        best = {link.computer.name: link.clock.best(now) for link in self._links}
+        ahead = {name: sample.ahead for name, sample in best.items() if sample is not None}
+        if any(abs(self._clocks_told.get(name, _UNKNOWN) - each) > _NOTABLE for name, each in ahead.items()):
+            self._clocks_told = ahead
+            self._to_members(d.Clocks(ahead))
+
     def _drop_silent(self) -> None:
         now = time.monotonic()
         if now - self._last_check > d.HEARTBEAT_PERIOD:
@@ -263,7 +280,13 @@ class Daemon:
             computers=[link.computer.name for link in self._links if link.reachable],
             refused=self._refused,
             refusal=self._refusal,
+            clocks=self._clocks(),
         )
+
+    def _clocks(self) -> dict[str, tuple[float, float, float | None]]:
+        now = time.monotonic_ns()
+        best = {link.computer.name: (link.clock.best(now), link.clock.drift()) for link in self._links}
+        return {n: (1e-9 * each.ahead, 1e-9 * each.error, drift) for n, (each, drift) in best.items() if each}
 
     def _counts(self, topic: str) -> d.Counts:
         found = {i: [c for c in member.counts if c.topic == topic] for i, member in self._members.items()}

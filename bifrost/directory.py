@@ -143,22 +143,31 @@ class AskCounts(msgspec.Struct, tag="ask_counts"):
 
 
 class Follow(msgspec.Struct, tag="follow"):
-    """Tell me of your own nodes; ``version`` is that of what I know of them. Sent as a heartbeat."""
+    """Tell me of your own nodes; ``version`` is that of what I know of them. Sent as a heartbeat.
+
+    ``sent`` is when, by the asking computer's monotonic clock [ns].
+    """
 
     computer: str
     epoch: int
     version: int
+    sent: int = 0
 
 
 # From daemon to node, and to the daemons that follow it.
 
 
 class Table(msgspec.Struct, tag="table"):
-    """Every node that the daemon knows; to a follower, its own. ``epoch`` is the daemon's incarnation."""
+    """Every node that the daemon knows; to a follower, its own. ``epoch`` is the daemon's incarnation.
+
+    To a follower, too, ``sent`` of what it asked, and when that was ``taken``, by the answering computer's clock [ns].
+    """
 
     epoch: int
     version: int
     nodes: list[NodeRecord]
+    sent: int = 0
+    taken: int = 0
 
 
 class Update(msgspec.Struct, tag="update"):
@@ -179,10 +188,18 @@ class Gone(msgspec.Struct, tag="gone"):
 
 
 class Alive(msgspec.Struct, tag="alive"):
-    """Answer to a heartbeat."""
+    """Answer to a heartbeat; to a follower's with ``sent`` and ``taken`` as in a table."""
 
     epoch: int
     version: int
+    sent: int = 0
+    taken: int = 0
+
+
+class Clocks(msgspec.Struct, tag="clocks"):
+    """By how much the monotonic clocks of other computers are ahead of this one's [ns]."""
+
+    ahead: dict[str, int]
 
 
 class Unknown(msgspec.Struct, tag="unknown"):
@@ -202,6 +219,8 @@ class DaemonInfo(msgspec.Struct, tag="info"):
     computers: list[str] = []  # the others that it reaches
     refused: int = 0  # what members have sent that is no message, or not theirs to say
     refusal: str = ""  # the newest of what was not theirs
+    # Of other computers by name: how far their monotonic clock is ahead, to which error [s], and how it drifts [s/s].
+    clocks: dict[str, tuple[float, float, float | None]] = {}
 
 
 class Counts(msgspec.Struct, tag="counts"):
@@ -211,7 +230,7 @@ class Counts(msgspec.Struct, tag="counts"):
 
 
 ToDaemon = Register | Heartbeat | Leave | Ask | AskCounts | Follow
-FromDaemon = Table | Update | Gone | Alive | Unknown | DaemonInfo | Counts
+FromDaemon = Table | Update | Gone | Alive | Unknown | DaemonInfo | Counts | Clocks
 
 encode = msgspec.msgpack.Encoder().encode
 decode_to_daemon = msgspec.msgpack.Decoder(ToDaemon).decode

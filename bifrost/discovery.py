@@ -21,6 +21,7 @@ import zmq
 
 from bifrost import directory as d
 from bifrost import security
+from bifrost.clocks import OWN_CLOCK, OtherClock
 from bifrost.keepsake import recall
 from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
@@ -77,6 +78,7 @@ class Discovery:
         self._next_registration = 0.0
         self._closing = False
         self._neighbors = Neighbors(here)
+        self._clocks: dict[str, OtherClock] = {here: OWN_CLOCK}
         self._refused: set[str] = set()  # that the log has told of
         self._heard = 0.0  # when the daemon last said anything
         self._recall_at = time.monotonic() + _PATIENCE if recall else float("inf")
@@ -148,6 +150,11 @@ class Discovery:
         """Let a topic go."""
         with self._lock:
             self._neighbors.unwatch(watch)
+
+    def clock(self, computer: str) -> OtherClock:
+        """That of a computer; kept to what is known of it."""
+        with self._lock:
+            return self._clocks.setdefault(computer, OtherClock())
 
     def wake(self, topic: str) -> None:
         """Wake the topic's subscribers of this node, wherever they wait."""
@@ -327,6 +334,11 @@ class Discovery:
 
     def _take(self, message: d.FromDaemon) -> None:
         neighbors = self._neighbors
+        if isinstance(message, d.Clocks):
+            for computer, ahead in message.ahead.items():
+                clock = self._clocks.setdefault(computer, OtherClock())
+                clock.ahead, clock.known = ahead, True
+            return
         if isinstance(message, d.Unknown):
             self._dirty = True
             self._counts_told = []

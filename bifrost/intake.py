@@ -12,6 +12,7 @@ from typing import Any
 import zmq
 
 from bifrost import wire
+from bifrost.clocks import OWN_CLOCK, OtherClock
 from bifrost.directory import Entry
 from bifrost.discovery import Discovery
 from bifrost.encoding import Codec, codec
@@ -41,9 +42,10 @@ class Stream:
         sequence: of the last message; 0 before the first.
         stamp: of the last message [ns].
         meter: of how much it sends; None: however much.
+        clock: by which it stamps.
     """
 
-    __slots__ = ("decode", "meter", "name", "origin", "payload", "prefix", "sequence", "stamp")
+    __slots__ = ("clock", "decode", "meter", "name", "origin", "payload", "prefix", "sequence", "stamp")
 
     def __init__(
         self, prefix: bytes, origin: bytes, decode: Callable[[bytes | memoryview], Any], meter: Meter | None = None
@@ -56,6 +58,7 @@ class Stream:
         self.sequence = 0
         self.stamp = -(2**63)
         self.meter = meter
+        self.clock = OWN_CLOCK
 
 
 Checked = tuple[int, int, bytes, Stream, int]  # stamp, sequence, frame, its publisher, when it was taken in [ns]
@@ -99,6 +102,7 @@ class Intake:
         self._streams: dict[bytes, Stream] = {}  # by prefix
         self._stream = _NOBODY  # of the publisher heard last
         self._one_clock = True
+        self._clocks: dict[str, OtherClock] = {}  # by which nodes stamp, by their names
         self._connected: set[str] = set()
         self._warned: set[bytes | str] = set()
         self._timeout = -2
@@ -216,7 +220,7 @@ class Intake:
         stream.sequence, stream.stamp = sequence, stamp
         self.messages += 1
         self.bytes_received += len(frame)
-        return stamp, sequence, frame, stream, now
+        return stamp - stream.clock.ahead, sequence, frame, stream, now
 
     def _take_traced(self, flags: int = _NOBLOCK) -> Checked | None:
         """As ``_take``; mutes the publisher, if it is the one that has sent too much."""
@@ -259,6 +263,7 @@ class Intake:
         if len(origin) != 1 + length:
             self._reject("an origin longer than the message")
             return None
+        stream.clock = self._clocks.get(stream.name, OWN_CLOCK)
         if len(self._streams) >= _PUBLISHERS:
             del self._streams[next(iter(self._streams))]
         self._streams[stream.prefix] = stream
@@ -304,11 +309,13 @@ class Intake:
         """Connect to the topic's publishers as they are now, and disconnect from those that are gone."""
         wanted: dict[str, Entry] = {}
         one_clock = True
+        self._clocks.clear()
         for peer in self._watch.peers:
             endpoint = peer.entry.endpoint
             if self._suits(peer.entry):
                 wanted[endpoint] = peer.entry
                 one_clock &= peer.computer == self._discovery.network.computer.name
+                self._clocks[peer.node] = self._discovery.clock(peer.computer)
             else:
                 self._warn(endpoint, str(self._mismatch(peer.node, peer.entry.types, peer.entry.hashes)))
         for endpoint in self._muted.endpoints():

@@ -10,6 +10,7 @@ import msgspec
 import zmq
 
 from bifrost import directory as d
+from bifrost.clocks import ClockFilter
 from bifrost.network import Computer, Network
 from bifrost.security import connect, connecting_socket
 
@@ -28,6 +29,7 @@ class Link:
         reachable: whether its daemon has been heard of within the last seconds.
         nodes: by incarnation, as last heard.
         heard: when that was, monotonic [s].
+        clock: of the other one.
     """
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, computer: Computer) -> None:
@@ -35,6 +37,7 @@ class Link:
         self.reachable = False
         self.nodes: dict[int, d.NodeRecord] = {}
         self.heard = 0.0
+        self.clock = ClockFilter()
         self._ours = network.computer.name
         self._epoch, self._version = 0, -1
         self._next_follow = 0.0
@@ -70,10 +73,13 @@ class Link:
             changes += self._take(message)
 
     def _follow(self) -> None:
+        follow = d.Follow(self._ours, self._epoch, self._version, time.monotonic_ns())
         with contextlib.suppress(zmq.Again):
-            self.socket.send(d.encode(d.Follow(self._ours, self._epoch, self._version)), zmq.NOBLOCK)
+            self.socket.send(d.encode(follow), zmq.NOBLOCK)
 
     def _take(self, message: d.FromDaemon) -> list[Change]:
+        if isinstance(message, d.Table | d.Alive) and message.taken:
+            self.clock.add(message.sent, message.taken, time.monotonic_ns())
         if isinstance(message, d.Table):
             return self._replace(message)
         if isinstance(message, d.Alive):

@@ -12,7 +12,7 @@ import os
 import random
 import re
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -122,18 +122,18 @@ class Network:
         Args:
             network_file: JSON, as ``create`` writes it.
             keys_folder: holds ``server.key`` and ``client.key``.
-            computer: the name of the computer that this process runs on; else ``BIFROST_COMPUTER``; may be left out
-                when there is only one.
+            computer: the name of the computer that this process runs on; else ``BIFROST_COMPUTER``, else the file's
+                ``here``; may be left out when there is only one.
             own_key: the key pair of the owner that this process is; of a network without owners it is not looked at.
 
         Raises:
             ConfigurationError: a file is missing, unreadable to us, readable to others, or not what is expected.
         """
-        computers, grants = _read_network(Path(network_file))
-        name = computer or os.environ.get("BIFROST_COMPUTER")
+        computers, grants, here = _read_network(Path(network_file))
+        name = computer or os.environ.get("BIFROST_COMPUTER") or here
         if name is None and len(computers) > 1:
             raise ConfigurationError(
-                f"{network_file}: lists {len(computers)} computers; set BIFROST_COMPUTER to this one's name"
+                f"{network_file}: lists {len(computers)} computers; set BIFROST_COMPUTER, or `here`, to this one's name"
             )
         ours = computers[0] if name is None else next((c for c in computers if c.name == name), None)
         if ours is None:
@@ -230,6 +230,16 @@ class Network:
         return cls.load(network_file, keys_folder, own_key=own_key)
 
 
+def copy_for(content: bytes, computer: str, among: Collection[str] | None = None) -> bytes:
+    """A network file as it belongs on one of its computers, whose processes need not be told where they are.
+
+    ``among``: the computers of which it knows; None: all.
+    """
+    told = json.loads(content) | {"here": computer}
+    told["computers"] = [each for each in told["computers"] if among is None or each["name"] in among]
+    return json.dumps(told, indent=2).encode() + b"\n"
+
+
 def own_key_file(folder: Path, owner: str) -> Path:
     """Where a charter's folder has an owner's key pair."""
     return folder / owner / "own.key"
@@ -283,7 +293,8 @@ def write_private(path: Path, content: bytes) -> None:
     temporary.replace(path)
 
 
-def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants]:
+def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants, str | None]:
+    """The computers, the grants, and the name of the computer that this copy of the file is for."""
     try:
         content = json.loads(path.read_text())
     except FileNotFoundError:
@@ -300,7 +311,10 @@ def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants]:
     computers = tuple(_read_computer(path, index, entry) for index, entry in enumerate(entries))
     if len({computer.name for computer in computers}) != len(computers):
         raise ConfigurationError(f"{path}: computers: expected names that differ")
-    return computers, read_grants(content, path)
+    here = content.get("here")
+    if here is not None and not isinstance(here, str):
+        raise ConfigurationError(f"{path}: here: expected the name of a computer, got {here!r}")
+    return computers, read_grants(content, path), here
 
 
 def read_grants(content: Mapping[str, Any], where: Path) -> Grants:

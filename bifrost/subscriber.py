@@ -29,7 +29,8 @@ class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
 
     Attributes:
         message: decoded; its arrays are read-only.
-        stamp: when it was published, by the monotonic clock of the publisher's computer [ns].
+        stamp: when it was published, by the own monotonic clock [ns]; from another computer as well as its clock is
+            known (``bifrost.clocks``), and as that has it until it is.
         sequence: the publisher's count, from 1.
         origin: name of the node that published it.
         arrived: when it was taken from the network, before it was decoded, by the own monotonic clock [ns].

@@ -50,10 +50,10 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
-MODE_TOPIC = "/flor/controller/mode"
-MODE_ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
-CONTROLLERS = "/controller_manager/list_controllers"
-TRAJECTORY_ACTION = "/trajectory_controllers/{}/follow_joint_trajectory"
+MODE_TOPIC = "flor/controller/mode"
+MODE_ACTION = "mode_controllers/control_mode_controller/change_control_mode"
+CONTROLLERS = "controller_manager/list_controllers"
+TRAJECTORY_ACTION = "trajectory_controllers/{}/follow_joint_trajectory"
 ARM, NECK = "right_arm_traj_controller", "neck_traj_controller"
 
 Posture = dict[str, float]  # joint positions [rad]
@@ -165,8 +165,8 @@ class Robot:
         self.streams = Streams(self.node)  # /joint_states and /clock
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(ControlModeStatus, MODE_TOPIC, self._hear_mode, latched)
-        self.node.create_subscription(String, "/robot_description", self._hear_description, latched)
-        self.node.create_subscription(Odometry, "/odom", self._hear_odometry, qos_profile_sensor_data)
+        self.node.create_subscription(String, "robot_description", self._hear_description, latched)
+        self.node.create_subscription(Odometry, "odom", self._hear_odometry, qos_profile_sensor_data)
         self.modes = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
         self.controllers = self.node.create_client(ListControllers, CONTROLLERS)
         self.actions = {
@@ -381,7 +381,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the measurements there")
     parser.add_argument("--postures", type=Path, metavar="FILE", help="read what to reach for there")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(rclpy.utilities.remove_ros_args(sys.argv)[1:])
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with closing(Robot()) as robot:

@@ -26,8 +26,8 @@ class Streams:
         self._states: list[tuple[float, float]] = []  # when each came, by the wall, and its stamp
         self._clocks: list[tuple[float, float]] = []  # likewise
         self._ages: list[float] = []  # of the newest state whenever /clock came
-        node.create_subscription(JointState, "/joint_states", self._hear_state, qos_profile_sensor_data)
-        node.create_subscription(Clock, "/clock", self._hear_clock, qos_profile_sensor_data)
+        node.create_subscription(JointState, "joint_states", self._hear_state, qos_profile_sensor_data)
+        node.create_subscription(Clock, "clock", self._hear_clock, qos_profile_sensor_data)
 
     def _hear_state(self, state: JointState) -> None:
         self.states.append(state)

@@ -136,6 +136,7 @@ def _messages(
     yield GROUND_TRUTH, GroundTruth(
         time=time, pelvis_position_in_world=base[:3], pelvis_orientation_in_world=base[3:],
         pelvis_linear_velocity_in_world=none, com_in_world=com, contacts=standing, joint_position=hung.position,
+        fixture_position=np.zeros(0),
     )  # fmt: skip
 
 

@@ -32,11 +32,15 @@ class Build:
         arm: joints; 0: no arms.
         neck, fingers: whether there are any; of fingers one is driven and one follows it by an equality.
         spring: whether an antenna is on a hinge that nothing drives.
+        toes: whether the front of a sole is on a sprung hinge that nothing drives.
+        linkage: whether a rod beside each shin, on two hinges that nothing drives, ends on the shin in a loop.
         knee: sign of its angle when bent.
         mirrored: whether the right side's axes are the left ones' opposites.
         drive: actuators; none: joints have limits alone.
         gear: of a motor.
         sole: what touches the ground.
+        narrow: share of a usual sole's width.
+        ankle: how far it turns sideways, either way [rad].
         together: whether joints that turn in one point are on one body.
         shuffled: whether actuators come in another order than joints.
         named: whether anything has a name.
@@ -57,11 +61,15 @@ class Build:
     neck: bool = True
     fingers: bool = False
     spring: bool = False
+    toes: bool = False
+    linkage: bool = False
     knee: Literal[1, -1] = 1
     mirrored: bool = False
     drive: Literal["motor", "position", "none"] = "motor"
     gear: float = 1.0
     sole: Literal["points", "box", "mesh", "capsules", "none"] = "box"
+    narrow: float = 1.0
+    ankle: float = 0.5
     together: bool = False
     shuffled: bool = False
     named: bool = True
@@ -76,7 +84,7 @@ class Build:
     @property
     def heel_toe_half_width(self) -> tuple[float, float, float]:
         """Of the sole's edges, from below the ankle [m]."""
-        return -0.1 * self.leg, 0.19 * self.leg, 0.075 * self.leg
+        return -0.1 * self.leg, 0.19 * self.leg, 0.075 * self.leg * self.narrow
 
 
 def mjcf(build: Build) -> str:
@@ -89,6 +97,7 @@ class _Maker:
     build: Build
     driven: list[tuple[str, float]] = field(default_factory=list)  # joint, effort [N·m]
     count: int = 0
+    loops: list[tuple[str, str, FloatArray]] = field(default_factory=list)  # bodies, and the point in the first [m]
 
     def text(self) -> str:
         build, size = self.build, self.build.leg
@@ -108,8 +117,10 @@ class _Maker:
         self.trunk(world)
         if self.driven and build.drive != "none":
             self.actuators(model)
+        equality = ElementTree.SubElement(model, "equality")
+        for one, other, point in self.loops:
+            ElementTree.SubElement(equality, "connect", body1=one, body2=other, anchor=_text(point))
         if build.fingers and build.arm:
-            equality = ElementTree.SubElement(model, "equality")
             for side in build.legs:
                 ElementTree.SubElement(
                     equality, "joint", joint1=f"{side}_finger_tip", joint2=f"{side}_finger", polycoef="0 1 0 0 0"
@@ -176,10 +187,37 @@ class _Maker:
         shin = self.chain(thigh, at, f"{side}_shin", knee, 0.07, turn, flip=flip)
         self.rod(shin, 0.42 * size, 0.055 * size)
         ankle = knee - np.array([0, 0, size / 2])
-        turns = [(f"{side}_ankle", "y", -0.9, 0.9, 0.25), (f"{side}_ankle", "x", -0.5, 0.5, 0.2)]
+        turns = [(f"{side}_ankle", "y", -0.9, 0.9, 0.25), (f"{side}_ankle", "x", -build.ankle, build.ankle, 0.2)]
         turns = turns[: build.leg_joints - 4]
         foot = self.chain(shin, knee, f"{side}_foot", ankle, 0.03, turns, flip=flip)
         self.sole(foot)
+        if build.toes:
+            _, toe, half = build.heel_toe_half_width
+            tip, where = 0.06 * size, ankle + np.array([toe, 0, -0.085 * size])
+            front = self.body(foot, f"{side}_toe", where, ankle, 0.004)
+            spring = self.joint(front, f"{side}_toe", "y", -0.5, 0.1, None)
+            spring.set("stiffness", f"{0.15 * build.mass * 9.81 * tip:.4g}")
+            spring.set("damping", f"{0.003 * build.mass * 9.81 * tip:.4g}")
+            shape = _text([tip / 2 - 0.002 * size, half, 0.01 * size])
+            ElementTree.SubElement(front, "geom", type="box", pos=_text([tip / 2, 0, -0.005 * size]), size=shape)
+        if build.linkage:
+            self.linkage(thigh, shin, at, knee, side)
+
+    def linkage(
+        self, thigh: ElementTree.Element, shin: ElementTree.Element, hip: FloatArray, knee: FloatArray, side: str
+    ) -> None:
+        """A parallelogram: half the thigh, a crank, the rod, and the shin, on which it ends."""
+        size = self.build.leg
+        top = hip - np.array([0, 0, 0.25 * size])
+        lever = 0.08 * size * np.array([-np.sqrt(0.5), 0, -np.sqrt(0.5)])
+        crank = self.body(thigh, f"{side}_crank", top, hip, 0.002)
+        rod = self.body(crank, f"{side}_rod", top + lever, top, 0.002)
+        for body, name in ((crank, "crank"), (rod, "rod")):
+            self.joint(body, f"{side}_{name}", "y", -3.0, 3.0, None).set("damping", f"{1e-4 * self.build.mass:.4g}")
+        ends = _text([0, 0, 0, 0, 0, -0.25 * size])
+        seen = ElementTree.SubElement(rod, "geom", type="capsule", contype="0", conaffinity="0", fromto=ends)
+        seen.set("size", f"{0.01 * size:.4g}")
+        self.loops.append((f"{side}_rod", f"{side}_shin", np.array([0, 0, -0.25 * size])))
 
     def arm(self, chest: ElementTree.Element, chest_at: FloatArray, side: str) -> None:
         build, size = self.build, self.build.leg

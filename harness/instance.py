@@ -68,7 +68,7 @@ class RunningInstance:
         """The process started under a name."""
         return self._running[name]
 
-    def stop(self, name: str, timeout: float = 10.0) -> int:
+    def stop(self, name: str, timeout: float = 30.0) -> int:
         """SIGTERM, and wait; returns the exit status."""
         process = self._running.pop(name)
         process.terminate()

@@ -9,7 +9,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.common.messages import BehaviorRequest, Motor
+from valor.common.messages import BehaviorRequest, Motor, Proprioceptor
 from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.manager import MotionManager
 from valor.robot.description import RobotDescription
@@ -26,19 +26,22 @@ class RobotInProcess:
 
     Attributes:
         peak: (n,) largest torque of each joint [N·m]; set it to zero to begin anew.
-        motor: the last one.
+        measured: what the sensors said in the last period, and motor: what was made of it.
+        each: called in every period, once both are there.
     """
 
+    measured: Proprioceptor
     motor: Motor
 
-    def __init__(self, robot: RobotDescription, profile: str, seed: int) -> None:
-        self.plant = Plant(robot, "flat", profile, seed)
+    def __init__(self, robot: RobotDescription, profile: str, seed: int, world: str = "flat") -> None:
+        self.plant = Plant(robot, world, profile, seed)
         self.manager = MotionManager(robot, controller_model(robot))
         self.peak: FloatArray = np.zeros(len(robot.joints))
         self._sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
         self._period = robot.control_period
         self._substeps = round(robot.control_period / self.plant.step_time)
         self._sequence = 0
+        self.each: Callable[[], None] | None = None
 
     @property
     def time(self) -> float:
@@ -58,8 +61,10 @@ class RobotInProcess:
     def step(self) -> None:
         """One control period."""
         self._sequence += 1
-        measured = self._sensors.measure(self._sequence, round(self.time * 1e9))
-        self.motor = self.manager.tick(measured)
+        self.measured = self._sensors.measure(self._sequence, round(self.time * 1e9))
+        self.motor = self.manager.tick(self.measured)
+        if self.each is not None:
+            self.each()
         self.plant.actuators.obey(self.motor)
         self.plant.step(self._substeps)
         np.maximum(self.peak, np.abs(self.plant.actuators.effort), out=self.peak)

@@ -36,7 +36,7 @@ from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PUSH, STEP_STATUS
 from valor.common.transforms import TransformBuffer, TransformError
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
-from valor.valorctl.step_plan import FEET, PlanStep
+from valor.robot.step_plan import FEET, PlanStep
 
 ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
 FEEDBACK = "/robot_controllers/footstep_controller/execute_feedback"
@@ -100,7 +100,9 @@ class Walker:
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         # A client of an action forgets a goal with its result: feedback that comes behind is for the topic's listeners.
         self._words: list[Any] = []
-        ros.node.create_subscription(ExecuteStepPlan.Feedback, FEEDBACK, self._words.append, latched)
+        ros.node.create_subscription(
+            ExecuteStepPlan.Impl.FeedbackMessage, FEEDBACK, lambda m: self._words.append(m.feedback), latched
+        )
         ros.node.create_subscription(TFMessage, "/tf_static", lambda m: self._hear(m, static=True), latched)
         node = instance.node("observer")
         self._truth = GROUND_TRUTH.subscriber(node)

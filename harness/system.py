@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-TRAJECTORY_ACTION = "/trajectory_controllers/{}_traj_controller/follow_joint_trajectory"
+TRAJECTORY_ACTION = "trajectory_controllers/{}_traj_controller/follow_joint_trajectory"
 Point = tuple[float, Mapping[str, float]]  # time from start [s], joint → position [rad]
 VALORCTL = Path(sys.executable).with_name("valorctl")
 
@@ -87,7 +87,9 @@ def in_executor(executor: Any, function: Callable[..., Any], *arguments: Any, **
 class RosClient:
     """An ordinary ROS 2 node that knows only public names; spins in a thread of its own."""
 
-    def __init__(self, environment: Mapping[str, str], *, joint_states: bool = True) -> None:
+    def __init__(
+        self, environment: Mapping[str, str], *, joint_states: bool = True, namespace: str | None = None
+    ) -> None:
         """Join; without ``joint_states``, 250 a second, there are no ``joint_positions``."""
         for key in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
             os.environ[key] = environment[key]
@@ -102,13 +104,13 @@ class RosClient:
 
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=int(environment["ROS_DOMAIN_ID"]))
-        self.node = rclpy.create_node("test_client", context=self._context)
+        self.node = rclpy.create_node("test_client", context=self._context, namespace=namespace)
         self.reports: list[ControlModeStatus] = []
         self.joint_state: JointState | None = None
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(ControlModeStatus, "/flor/controller/mode", self.reports.append, latched)
+        self.node.create_subscription(ControlModeStatus, "flor/controller/mode", self.reports.append, latched)
         self._mode = ActionClient(
-            self.node, ChangeControlMode, "/mode_controllers/control_mode_controller/change_control_mode"
+            self.node, ChangeControlMode, "mode_controllers/control_mode_controller/change_control_mode"
         )
         self._trajectory = {
             name: ActionClient(self.node, FollowJointTrajectory, TRAJECTORY_ACTION.format(name))
@@ -120,7 +122,7 @@ class RosClient:
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
         if joint_states:
-            self._call(self.node.create_subscription, JointState, "/joint_states", self._keep_joint_state, 10)
+            self._call(self.node.create_subscription, JointState, "joint_states", self._keep_joint_state, 10)
 
     def _spin(self) -> None:
         while self._context.ok() and not self._closing.is_set():
@@ -137,7 +139,7 @@ class RosClient:
             time.sleep(0.01)
         return dict(zip(self.joint_state.name, self.joint_state.position, strict=True))
 
-    def change_mode(self, mode: str, timeout: float = 20.0) -> Any:
+    def change_mode(self, mode: str, timeout: float = 60.0) -> Any:
         """The ControlModeStatus that the action ends with."""
         from vigir_humanoid_control_msgs.action import ChangeControlMode
 

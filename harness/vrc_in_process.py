@@ -8,7 +8,7 @@ so that every order of events can be tried, late and lost messages among them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion, Manipulation
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
 from valor.motion_manager.handlers.behavior import BehaviorHandler
+from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_goals import HandGoals
@@ -45,6 +46,7 @@ N = len(ROBOT.joints)
 PERIOD = round(1e9 * ROBOT.control_period)
 SILENCE = 15 * PERIOD * 1e-9  # of a process, to the VRC [s]
 PATIENCE = 22  # periods that a call waits for its reply
+NOT_IN_ODOM: Any = None  # where the robot is: goals of hands are in pelvis
 SAG = 0.04  # joints hang so far below what is commanded [rad]
 
 
@@ -143,7 +145,9 @@ class Commander:
         elif call.reply is not None:
             call.returns -= 1
             if call.returns < 0:
-                self._end(BehaviorAnswer(call.number, call.reply.accepted, call.reply.reason, call.reply.behavior))
+                reply = call.reply
+                answer = BehaviorAnswer(call.number, reply.accepted, reply.reason, reply.behavior)
+                self._end(replace(answer, obstacle=reply.obstacle))
                 return True
         return False
 
@@ -165,9 +169,10 @@ class MotionSystem:
         self.rejections = Rejections()
         self._upper_body = UpperBody(ROBOT, self.reference)
         self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda _: "")
-        hands = HandGoals(MODEL, self.reference, ROBOT.nominal_posture)
+        self.hands = HandGoals(MODEL, self.reference, ROBOT.nominal_posture)
+        self._hand_goal = HandGoalHandler(self.fsm, self.hands, self.rejections)
         self._setpoints = JointSetpointsHandler(
-            ROBOT, self.fsm, self._upper_body, hands, self.rejections, taken_over=lambda: self._taken_over
+            ROBOT, self.fsm, self._upper_body, self.hands, self.rejections, taken_over=lambda: self._taken_over
         )
         self._taken_over = time
         self._was = Behavior.IDLE
@@ -193,6 +198,8 @@ class MotionSystem:
         now = time * 1e-9
         if received := network.topic(topics.JOINT_SETPOINTS.name).latest():
             self._setpoints.handle(received, time)
+        if received := network.topic(topics.HAND_GOAL.name).latest():
+            self._hand_goal.handle(received, time)
         if received := network.topic(topics.PELVIS.name).latest():
             self._pelvis_target = received.message.position
         fsm = self.fsm
@@ -203,12 +210,18 @@ class MotionSystem:
             self.reference.hold(np.ones(N, dtype=bool))
         self._was = fsm.behavior
         self._upper_body.update(now)
+        if self.hands.active and fsm.manipulation is not Manipulation.TELEOP:
+            self.hands.release_all(f"the behavior is {fsm.behavior}")
+        self.hands.advance(NOT_IN_ODOM, self.reference.position, now, PERIOD * 1e-9)
         self.reference.advance(now, PERIOD * 1e-9)
         self._pelvis.advance(self._pelvis_target, np.zeros(6), PERIOD * 1e-9)
-        arms = "setpoints" if fsm.manipulation is Manipulation.TELEOP else "nobody"
+        teleop = fsm.manipulation is Manipulation.TELEOP
+        left, right = (
+            ("hand_goal" if self.hands.leads(side) else "setpoints") if teleop else "nobody" for side in (0, 1)
+        )
         return motion_state(
-            left_arm=arms,
-            right_arm=arms,
+            left_arm=left,
+            right_arm=right,
             time=time,
             proprioceptor_sequence=sequence,
             behavior=str(fsm.behavior),

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import FrameType
 from typing import Any, Protocol, Self
 
@@ -39,11 +39,13 @@ class Context:
     """What a service is given: instance, robot, Bifrost node, statistics, trace, and the word to stop.
 
     Attributes:
+        arguments: of the command line: ROS', where the process has a node there.
         stopping: set by SIGTERM and SIGINT; the loop returns soon after.
     """
 
-    def __init__(self, name: str, instance: Instance) -> None:
+    def __init__(self, name: str, instance: Instance, arguments: Sequence[str] = ()) -> None:
         self.name = name
+        self.arguments = tuple(arguments)
         self.instance = instance
         self.settings: Settings = instance.settings()
         process = BY_NAME[name]
@@ -222,8 +224,11 @@ def run(name: str, make: Callable[[Context], Service]) -> int:
     """Start a service and run it until SIGTERM or SIGINT. Returns the exit status."""
     logging.basicConfig(level=logging.INFO, format=_LOG_FORMAT, stream=sys.stderr)
     log = logging.getLogger(name)
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(f"python -m valor.{name}: {BY_NAME[name].description}; in the instance that VALOR_INSTANCE names.")
+        return 0
     try:
-        context = Context(name, Instance.from_environment())
+        context = Context(name, Instance.from_environment(), sys.argv[1:])
     except (ConfigurationError, bifrost.ConfigurationError) as error:
         log.error("%s", error)
         return EXIT_CONFIGURATION

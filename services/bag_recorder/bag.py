@@ -20,10 +20,11 @@ _LOCK_PATIENCE = 0.5  # [s]
 
 @dataclass(frozen=True, eq=False)
 class RecordedTopic:
-    """A topic as the bag knows it: ROS type, its definition, and the QoS that its publishers offered.
+    """A topic as the bag knows it: ROS type, its definition and hash, and the QoS that its publishers offered.
 
     Attributes:
         latched: whoever comes late still gets the last message, so every bag begins with it.
+        type_hash: of the type's description (REP-2011); empty: not known.
     """
 
     name: str
@@ -31,6 +32,7 @@ class RecordedTopic:
     definition: str
     qos: str = ""
     latched: bool = False
+    type_hash: str = ""
 
 
 class Sink(Protocol):
@@ -155,7 +157,9 @@ class Bag:
         if schema is None:
             schema = self._writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
             self._schemas[topic.type] = schema
-        metadata = {"offered_qos_profiles": topic.qos} if topic.qos else {}
+        # As rosbag2_storage_mcap names them.
+        told = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
+        metadata = {key: text for key, text in told.items() if text}
         channel: int = self._writer.register_channel(topic.name, "cdr", schema, metadata)
         self._channels[topic] = channel
         self.written.setdefault(topic.name, 0)

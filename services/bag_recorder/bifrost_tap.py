@@ -10,11 +10,11 @@ from typing import Any, cast
 import bifrost
 from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
-from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.bags.selection import EVERYTHING, Selection
 from valor.common.messages import MotionState
 from valor.common.topics import MOTION_STATE, TOPICS, Topic
+from valor.ros.definitions import definition, type_hash
 
 PREFIX = "/bifrost/"
 QUEUE = 4000  # messages a topic: eight seconds at 500 Hz while the recorder is held up
@@ -31,7 +31,7 @@ class _Tap:
         self.every = topic.record_every
         self.encode = TwinEncoder(topic.type).encode
         name = twin_type(topic.type)
-        self.recorded = RecordedTopic(PREFIX + topic.name, name, definition(name))
+        self.recorded = RecordedTopic(PREFIX + topic.name, name, definition(name), type_hash=type_hash(name))
         self.received = self.unwritten = 0
         self.unfit = 0  # messages that have no twin: an integer beyond 64 signed bits
 

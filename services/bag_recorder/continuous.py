@@ -9,7 +9,7 @@ import time
 from valor.bag_recorder.bag import Bag, RecordedTopic, Sink
 from valor.bag_recorder.clock import ClockChange, WallClock
 from valor.bag_recorder.falls import FALL, Falls
-from valor.bag_recorder.shelf import Shelf, told, wall_time
+from valor.bag_recorder.shelf import MARK, Shelf, told, wall_time
 from valor.common.messages import MotionState
 
 FLUSH_PERIOD = 0.5  # what SIGKILL may lose [s]
@@ -94,6 +94,17 @@ class Continuous:
         """
         if self._falls.begins(state) and self._bag is not None:
             self._shelf.event(self._bag, FALL, stamp, state.reason)
+
+    def mark(self, text: str, stamp: int) -> str:
+        """Note a moment [ns, wall clock]; returns why that cannot be.
+
+        Raises:
+            OSError: the bag cannot be written.
+        """
+        if self._bag is None:
+            return f"not recording: {self.failure}"
+        self._shelf.event(self._bag, MARK, stamp, text)
+        return ""
 
     def note(self, change: ClockChange) -> None:
         """The wall clock has moved."""

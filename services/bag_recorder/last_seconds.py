@@ -9,9 +9,10 @@ from collections import deque
 from valor.bag_recorder.bag import RecordedTopic, Sink
 from valor.bag_recorder.clock import ClockChange
 from valor.bag_recorder.falls import FALL, Falls
-from valor.bag_recorder.shelf import Shelf, told
+from valor.bag_recorder.shelf import MARK, Shelf, told
 from valor.common.messages import MotionState, SnapReply
 
+MOST_MARKS = 100  # that are held
 LIMIT = 256 << 20  # of memory for messages [B]
 AFTER_FALL = 2.0  # how long a fall goes on being recorded [s]
 _OVERHEAD = 200  # of a message in memory [B]
@@ -36,6 +37,7 @@ class LastSeconds:
         self._now = time.monotonic()
         self._falls = Falls()
         self._event = (0, "")  # the last fall: when [ns], and why
+        self._marks: deque[tuple[float, int, str]] = deque(maxlen=MOST_MARKS)  # monotonic [s], wall [ns], text
         self._save_at: float | None = None
         self._told = False
 
@@ -68,6 +70,8 @@ class LastSeconds:
             self.snap(FALL)
         oldest = now - self._seconds
         ring = self._ring
+        while self._marks and self._marks[0][0] < oldest:
+            self._marks.popleft()
         while ring and (ring[0][0] < oldest or self._size > self._limit):
             if ring[0][0] >= oldest and not self._told:
                 self._told = True
@@ -88,6 +92,8 @@ class LastSeconds:
             self._shelf.add_latched(bag, min(entry[2] for entry in self._ring), but=held)
             for _, topic, log_time, publish_time, sequence, data in self._ring:
                 bag.write(topic, log_time, publish_time, sequence, data)
+            for _, stamp, text in self._marks:
+                self._shelf.event(bag, MARK, stamp, text)
             if label == FALL:
                 self._shelf.event(bag, FALL, *self._event)
             messages = bag.messages
@@ -96,6 +102,11 @@ class LastSeconds:
             return _failed(self._shelf.give_up(bag, error))
         seconds = self._ring[-1][0] - self._ring[0][0]
         return SnapReply(accepted=True, path=str(bag.path), messages=messages, seconds=seconds, reason="")
+
+    def mark(self, text: str, stamp: int) -> str:
+        """Note a moment [ns, wall clock], for as long as what came then is held."""
+        self._marks.append((time.monotonic(), stamp, text))
+        return ""
 
     def note(self, change: ClockChange) -> None:
         """The wall clock has moved: told in the metadata of the bags to come."""

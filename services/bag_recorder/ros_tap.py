@@ -7,20 +7,19 @@ costs over a hundred.
 
 from __future__ import annotations
 
-import importlib
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
-import rclpy
-import yaml
-from rclpy.context import Context
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
 from valor.bag_recorder.clock import WallClock
-from valor.bag_recorder.definitions import FEEDBACK, UnknownTypeError, definition
 from valor.bags.selection import Selection
+from valor.ros.definitions import UnknownTypeError, definition, message_type, type_hash
+from valor.ros.node import Untouched
+from valor.ros.taking import uncalled
+from valor.ros.topics import asks_less, qos_text, shown, suiting
 
 DEPTH = 2000  # messages a topic that may wait for the next look
 ROUNDS = 8  # of discovery, in which every known topic is looked over once
@@ -36,6 +35,8 @@ class _Tap:
         lost: messages that the one publisher sent and that never came; not known where there are several.
     """
 
+    untouched = Untouched()
+
     def __init__(self, node: Any, topic: RecordedTopic, message_type: type, qos: QoSProfile) -> None:
         self.topic = topic
         self.message_type = message_type
@@ -44,7 +45,9 @@ class _Tap:
         self.publishers = 0
         self.seen = 0  # publishers in the graph when the tap was last looked over, the recorder's own included
         self._last = 0
-        self.subscription = node.create_subscription(message_type, topic.name, _unused, qos, raw=True)
+        self.subscription = node.create_subscription(
+            message_type, topic.name, uncalled, qos, callback_group=self.untouched, raw=True
+        )
 
     def follow(self, sequence: int) -> None:
         """Count what is missing before a message of the publisher's count ``sequence``."""
@@ -57,41 +60,31 @@ class _Tap:
         self.received, self.unwritten, self.lost = before.received, before.unwritten, before.lost
 
 
-def _unused(_: bytes) -> None:
-    raise AssertionError("nothing spins this node")
-
-
 class RosTap:
     """Discovers topics, subscribes with a QoS that suits all their publishers, and moves what has come into the bag."""
 
     def __init__(
-        self, domain_id: int, clock: WallClock, selection: Selection, alive: Callable[[], None] = lambda: None
+        self,
+        node: Any,
+        clock: WallClock,
+        selection: Selection,
+        alive: Callable[[], None] = lambda: None,
+        namespace: str = "",
     ) -> None:
-        """Join the graph.
+        """Nothing is subscribed to yet.
 
         Args:
-            domain_id: of the graph.
+            node: of the graph; closed by its owner.
             clock: that tells the times of messages.
             selection: of the topics.
             alive: called now and then while much is found or taken.
+            namespace: of the robot: what stands in another is not recorded; empty: all is.
         """
-        self._clock, self._selection, self._alive = clock, selection, alive
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain_id)
-        self._node = rclpy.create_node(
-            "bag_recorder",
-            context=self._context,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        self._clock, self._selection, self._alive, self._namespace = clock, selection, alive, namespace
+        self._node = node
         self._taps: dict[str, _Tap] = {}
         self._refused: set[str] = set()
         self._round = 0
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._node.destroy_node()
-        self._context.try_shutdown()
 
     @property
     def counts(self) -> dict[str, tuple[int, int]]:
@@ -106,7 +99,7 @@ class RosTap:
         """
         self._round = (self._round + 1) % ROUNDS
         for i, (name, types) in enumerate(self._node.get_topic_names_and_types()):
-            if name in self._refused or _hidden(name) or name not in self._selection:
+            if name in self._refused or not shown(name, self._namespace) or name not in self._selection:
                 continue
             self._alive()
             count = self._node.count_publishers(name)
@@ -120,11 +113,11 @@ class RosTap:
             ]
             if not publishers:
                 continue
-            qos = _suiting([publisher.qos_profile for publisher in publishers])
+            qos = suiting([publisher.qos_profile for publisher in publishers], DEPTH)
             tap = self._taps.get(name)
             if tap is None:
                 self._subscribe(name, types, qos)
-            elif _asks_less(qos, tap.qos):
+            elif asks_less(qos, tap.qos):
                 self._node.destroy_subscription(tap.subscription)
                 self._taps[name] = _Tap(self._node, tap.topic, tap.message_type, qos)
                 self._taps[name].resubscribed(tap)
@@ -164,62 +157,8 @@ class RosTap:
             if len(types) > 1:
                 raise UnknownTypeError(f"it has more than one type: {', '.join(sorted(types))}")
             latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            topic = RecordedTopic(name, types[0], definition(types[0]), _qos_text(qos), latched)
-            self._taps[name] = _Tap(self._node, topic, _message_type(types[0]), qos)
+            topic = RecordedTopic(name, types[0], definition(types[0]), qos_text(qos), latched, type_hash(types[0]))
+            self._taps[name] = _Tap(self._node, topic, message_type(types[0]), qos)
         except UnknownTypeError as error:
             self._refused.add(name)
             _log.warning("%s: not recorded: %s", name, error)
-
-
-def _hidden(name: str) -> bool:
-    return any(token.startswith("_") for token in name.split("/"))
-
-
-def _message_type(type_name: str) -> type:
-    package, kind, base = type_name.split("/")
-    try:
-        module = importlib.import_module(f"{package}.{kind}")
-        if kind == "action" and base.endswith(FEEDBACK):
-            feedback: type = getattr(module, base.removesuffix(FEEDBACK)).Feedback
-            return feedback
-        found: type = getattr(module, base)
-    except (ImportError, AttributeError):
-        raise UnknownTypeError(f"{type_name} has no Python package here") from None
-    return found
-
-
-def _suiting(offered: Iterable[QoSProfile]) -> QoSProfile:
-    """The most that all publishers offer: reliable and transient-local only if every one of them is."""
-    offered = list(offered)
-    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
-    kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _asks_less(new: QoSProfile, old: QoSProfile) -> bool:
-    """Whether a subscription with ``old`` would not hear publishers that ``new`` suits."""
-    reliability = old.reliability == ReliabilityPolicy.RELIABLE != new.reliability
-    durability = old.durability == DurabilityPolicy.TRANSIENT_LOCAL != new.durability
-    return bool(reliability or durability)
-
-
-def _qos_text(qos: QoSProfile) -> str:
-    """As rosbag2 writes it into the channel, so that a player offers the like."""
-    unlimited = {"sec": 9223372036, "nsec": 854775807}
-    profile = {
-        "history": "keep_last",
-        "depth": 10,
-        "reliability": qos.reliability.name.lower(),
-        "durability": qos.durability.name.lower(),
-        "deadline": unlimited,
-        "lifespan": unlimited,
-        "liveliness": "automatic",
-        "liveliness_lease_duration": unlimited,
-        "avoid_ros_namespace_conventions": False,
-    }
-    return yaml.safe_dump([profile], sort_keys=False)

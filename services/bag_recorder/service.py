@@ -9,22 +9,25 @@ import time
 from valor.bag_recorder.bifrost_tap import BifrostTap
 from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.continuous import Continuous
-from valor.bag_recorder.definitions import UnknownTypeError
 from valor.bag_recorder.last_seconds import LastSeconds, refused
+from valor.bag_recorder.parameters import settings_of
 from valor.bag_recorder.ros_tap import RosTap
-from valor.bag_recorder.shelf import Shelf, told
+from valor.bag_recorder.shelf import Shelf, told, wall_time
 from valor.bags import recordings
 from valor.bags.selection import Selection
 from valor.common.errors import ConfigurationError
-from valor.common.messages import SnapReply, SnapRequest
+from valor.common.messages import MarkReply, MarkRequest, SnapReply, SnapRequest
 from valor.common.resources import REPAIR
-from valor.common.topics import MOTION_STATE, SNAP
+from valor.common.topics import MARK, MOTION_STATE, SNAP
 from valor.common.trace import Stage
+from valor.ros.definitions import UnknownTypeError
+from valor.ros.node import RosSide
 from valor.service import Context, quiet_collector
 
 PERIOD = 0.1  # between two looks [s]; a look at some ninety topics has its price, and queues hold seconds
 DISCOVERY_PERIOD = 0.25  # [s]
 CLOCK_PERIOD = 1.0  # [s]
+LONGEST_MARK = 200  # characters
 GRACE = 0.05  # for what was sent before the recorder was told to stop, and is on its way [s]
 
 _log = logging.getLogger("bag_recorder")
@@ -40,6 +43,19 @@ class BagRecorder:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._statistics = context.statistics
+        self._side = RosSide(
+            context.name, context.settings, context.instance.environment(), context.arguments,
+            sim_time=False, pause=lambda: "",
+        )  # fmt: skip
+        try:
+            self._assemble(context)
+        except BaseException:
+            self._side.close()
+            raise
+        self._side.life.configured()
+
+    def _assemble(self, context: Context) -> None:
+        context.settings = settings_of(self._side.node, context.settings)
         settings = context.settings.recording
         selection = Selection(settings.only, settings.without)
         self._clock = WallClock()
@@ -50,8 +66,9 @@ class BagRecorder:
         except UnknownTypeError as error:
             raise ConfigurationError(f"{error}: {REPAIR}") from None
         self._statistics.depend(self._bifrost.heard, lambda: self._bifrost.time)
-        self._ros = RosTap(context.settings.ros_domain_id, self._clock, selection, self._statistics.idle)
+        self._ros = RosTap(self._side.node, self._clock, selection, self._statistics.idle, context.settings.namespace)
         self._snaps = SNAP.server(context.node, self._snap)
+        self._marks = MARK.server(context.node, self._mark)
         self._recording: Continuous | LastSeconds
         if settings.ring_seconds is not None:
             self._recording = LastSeconds(self._shelf, settings.ring_seconds)
@@ -61,7 +78,6 @@ class BagRecorder:
         try:
             self._recording = Continuous(self._shelf, self._clock, *_piece(context))
         except OSError as error:
-            self._ros.close()
             raise ConfigurationError(told(error, self._shelf.place())) from None
 
     def run(self) -> None:
@@ -91,6 +107,8 @@ class BagRecorder:
                 self._recording.failed(error)
             self._tell_state()
             self._snaps.serve()
+            self._marks.serve()
+            self._side.attend()
             self._statistics.idle()
             trace.cycle()
             trace.mark(Stage.ATTEND)
@@ -105,14 +123,14 @@ class BagRecorder:
             self._recording.failed(error)
         self._shelf.tell()
         self._shelf.close()
-        self._ros.close()
+        self._side.close()
 
     def _counts(self) -> dict[str, tuple[int, int]]:
         """Received and dropped since start, by topic."""
         return self._bifrost.counts | self._ros.counts
 
     def _drain(self) -> None:
-        sink = self._recording.sink
+        sink = None if self._side.life.paused else self._recording.sink
         self._bifrost.drain(sink)
         self._context.trace.mark(Stage.DRAIN_BIFROST)
         self._ros.drain(sink)
@@ -128,11 +146,12 @@ class BagRecorder:
             self._recording.note(change)
 
     def _tell_state(self) -> None:
-        failure = self._recording.failure
+        failure = self._recording.failure or ("paused (lifecycle state inactive)" if self._side.life.paused else "")
         if failure:
             self._statistics.state("degraded", f"not recording: {failure}")
         else:
             self._statistics.state("ready")
+        self._side.life.tell(True)
 
     def _snap(self, request: SnapRequest, origin: str) -> SnapReply:
         if not isinstance(self._recording, LastSeconds):
@@ -142,6 +161,21 @@ class BagRecorder:
         _log.info("asked by %s to save the last seconds", origin)
         self._drain()
         return self._recording.snap("snap")
+
+    def _mark(self, request: MarkRequest, origin: str) -> MarkReply:
+        text, stamp = " ".join(request.text.split()), wall_time(self._clock)
+        if not 1 <= len(text) <= LONGEST_MARK:
+            return MarkReply(False, stamp, f"text: {len(text)} characters; expected 1 to {LONGEST_MARK}")
+        if self._side.life.paused:
+            return MarkReply(False, stamp, "not recording: paused (lifecycle state inactive)")
+        try:
+            reason = self._recording.mark(text, stamp)
+        except OSError as error:
+            self._recording.failed(error)
+            reason = f"not recording: {self._recording.failure}"
+        if not reason:
+            _log.info("marked by %s: %s", origin, text)
+        return MarkReply(not reason, stamp, reason)
 
 
 def _piece(context: Context) -> tuple[float, float]:

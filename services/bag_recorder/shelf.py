@@ -19,8 +19,9 @@ from valor.bag_recorder.clock import WallClock
 from valor.bag_recorder.housekeeper import Housekeeper
 from valor.bags import recordings
 from valor.bags.errors import BagError
+from valor.bags.event import EVENT, Event
 from valor.bags.files import SUFFIX
-from valor.bags.index import EVENT, read_index
+from valor.bags.index import read_index
 from valor.bags.recordings import Unfinished
 from valor.bags.recovery import recover
 from valor.common import whole_file
@@ -28,6 +29,7 @@ from valor.common.errors import ConfigurationError
 from valor.common.table import plain
 from valor.service import Context
 
+MARK = "mark"  # an event that somebody noted
 SPACE_KEPT = 64 << 20  # the disk is never filled beyond this [B]
 
 _log = logging.getLogger("bag_recorder")
@@ -162,7 +164,7 @@ class Shelf:
         Raises:
             OSError: it cannot be written.
         """
-        bag.add_metadata(EVENT, {"what": what, "stamp_ns": str(stamp), "reason": reason})
+        bag.add_metadata(EVENT, Event(stamp, what, reason).record())
 
     def _end_of(self, recovered: list[Path]) -> int:
         """When a recorder before this one, since `up`, wrote its last message [ns, wall clock]; 0: there was none."""
@@ -205,6 +207,7 @@ class Shelf:
             "instance": self._context.instance.name,
             "computer": socket.gethostname(),
             "robot": robot.name,
+            "robot_folder": str(settings.robot),
             "joints": " ".join(robot.joints),
             "profile": settings.profile,
             "clock": settings.clock,

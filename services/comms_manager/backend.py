@@ -21,6 +21,14 @@ class Backend(ABC):
     demand = Reaction.KEEP_BALANCE
 
     @property
+    def paused(self) -> bool:
+        """Whether robot time stands, because somebody wants it to."""
+        return False
+
+    def resume(self) -> None:  # noqa: B027  # of a real robot time always passes
+        """Let robot time pass, if it was paused."""
+
+    @property
     @abstractmethod
     def clock(self) -> str:
         """Name of the clock, for ``ClockStatus.mode``."""
@@ -29,6 +37,11 @@ class Backend(ABC):
     @abstractmethod
     def slip(self) -> float:
         """Robot time lost against the wall since the first Motor [s]."""
+
+    @property
+    def remark(self) -> str:
+        """What a person is to know of its clock, while all is well otherwise; empty: nothing."""
+        return ""
 
     @abstractmethod
     def advance(self, commands: Commands) -> float:

@@ -77,6 +77,11 @@ class Commands:
         return self._current - self._answered
 
     @property
+    def newest(self) -> int:
+        """Sequence of the newest Proprioceptor that was published."""
+        return self._current
+
+    @property
     def drops(self) -> int:
         """Messages that were lost on the way."""
         return self._subscriber.drops

@@ -10,7 +10,7 @@ import logging
 
 import numpy as np
 
-from valor.common.behaviors import REFLEX, Behavior, Reaction
+from valor.common.behaviors import REFLEX, Behavior, Obstacle, Reaction
 from valor.common.messages import BehaviorReply, BehaviorRequest, JointMode, Motor, Proprioceptor
 from valor.comms_manager.latch import BehaviorLatch
 from valor.whole_body.reflex import BalanceReflex
@@ -131,7 +131,7 @@ class Leader:
         until both feet stand.
         """
         if refusal := self._refusal(request.behavior):
-            return BehaviorReply(accepted=False, behavior=self.behavior, reason=refusal)
+            return BehaviorReply(False, self.behavior, refusal, Obstacle.CONDITION)
         if request.behavior == FALL:
             self._let_go(origin)
             reason = "limp, by the Comms Manager"
@@ -144,7 +144,7 @@ class Leader:
             self._latch.update(FREEZE)
             self.limp = False
             reason = "held by the Comms Manager"
-        return BehaviorReply(accepted=True, behavior=self.behavior, reason=reason)
+        return BehaviorReply(True, self.behavior, reason, Obstacle.NONE)
 
     def _refusal(self, wanted: str) -> str:
         """Why a request is not obeyed; empty if it is."""

@@ -6,7 +6,7 @@ import time
 from collections import deque
 
 import bifrost
-from valor.common.messages import ClockStatus, Proprioceptor
+from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, Proprioceptor
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR, STOP
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
@@ -17,6 +17,7 @@ from valor.service import Context, quiet_collector
 from valor.whole_body.reflex import BalanceReflex
 
 STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
+PAUSED_PERIOD = 0.01  # between looks at requests while robot time stands [s]
 STOPS_AT_ONCE = 2  # requests that a period answers, at most
 
 
@@ -32,7 +33,7 @@ class CommsManager:
         self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
         motors = MOTOR.subscriber(node, queue=AT_ONCE)
         self._leader = Leader(BalanceReflex(context.robot), self._latch)
-        self._stop = STOP.server(node, self._leader.stop)
+        self._stop = STOP.server(node, self._stop_robot)
         self._statistics.watch((motors, self._stop))
         self._commands = Commands(motors, context.robot, self._leader)
         self._clock = ClockReport(CLOCK.publisher(node))
@@ -51,6 +52,7 @@ class CommsManager:
         else:
             self._statistics.state("ready")
         backend, commands, statistics, trace = self._backend, self._commands, self._statistics, self._trace
+        told = ""
         began = time.perf_counter()
         while not self._context.stopping.is_set():
             waited = backend.advance(commands)
@@ -60,10 +62,15 @@ class CommsManager:
             self._stop.serve(STOPS_AT_ONCE)
             self._clock.update(backend, commands, state.time)
             statistics.rejected, statistics.drops = commands.refused, commands.drops
+            if (remark := backend.remark) != told:
+                told = remark
+                statistics.state("ready", remark)
             statistics.cycle(began, waited)
             trace.cycle()
             trace.mark(Stage.ATTEND)
             backend.pace()
+            if backend.paused:
+                self._stand_still(state)
             began = time.perf_counter()
             self._publish(state)
             trace.mark(Stage.PUBLISH, state.sequence)
@@ -87,6 +94,21 @@ class CommsManager:
                 return
             self._statistics.rejected = self._commands.refused
             self._statistics.idle()
+
+    def _stand_still(self, state: Proprioceptor) -> None:
+        """Answer requests until robot time passes again."""
+        while self._backend.paused and not self._context.stopping.wait(PAUSED_PERIOD):
+            self._backend.attend()
+            self._stop.serve(STOPS_AT_ONCE)
+            self._clock.update(self._backend, self._commands, state.time)
+            self._statistics.state("ready", self._backend.remark)
+            self._statistics.idle()
+        self._statistics.state("ready", self._backend.remark)
+
+    def _stop_robot(self, request: BehaviorRequest, origin: str) -> BehaviorReply:
+        """A robot whose time stands cannot come to rest: time passes for that."""
+        self._backend.resume()
+        return self._leader.stop(request, origin)
 
     def _measure(self) -> Proprioceptor:
         self._sequence += 1

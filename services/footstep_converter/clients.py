@@ -6,7 +6,7 @@ where tools that publish, and anybody who watches, find it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
@@ -21,15 +21,18 @@ from vigir_footstep_planning_msgs.msg import StepPlan
 
 from valor.common.floods import TopicFloods
 from valor.footstep_converter.execution import End, Execution, Outcome
-from valor.footstep_converter.feedback import FeedbackMaker, final_state
-from valor.footstep_converter.frames import ODOM
+from valor.footstep_converter.feedback import FeedbackMaker, final_state, warn
+from valor.footstep_converter.plan import PlannedStep
+from valor.ros.lateness import timely
 
-NAMESPACE = "/robot_controllers/footstep_controller"
+NAMESPACE = "robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic
 FEEDBACK = f"{NAMESPACE}/execute_feedback"
 RESULT_DELAY = 0.1  # behind the last feedback: a client that has the result takes no more feedback [s]
 WORDS = 50  # of feedback kept for watchers: five seconds, in which a lost one is sent again before it is overwritten
 
+FEEDBACK_MESSAGE = ExecuteStepPlan.Impl.FeedbackMessage
+"""Feedback with its goal: of an action's types the one that ``ros2 topic`` can import by its name."""
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 Report = Callable[[ExecuteStepPlan.Feedback], None]
@@ -40,11 +43,13 @@ class Goal:
 
     Attributes:
         plan: asked for.
+        warning: that its feedback carries; empty: none.
         ended: the client has been told the outcome.
     """
 
     def __init__(self, plan: StepPlan, report: Report, maker: FeedbackMaker) -> None:
         self.plan = plan
+        self.warning = ""
         self.ended = False
         self._report = report
         self._maker = maker
@@ -54,15 +59,19 @@ class Goal:
         """Whether the client no longer wants it."""
         return False
 
+    def waits(self, steps: Sequence[PlannedStep]) -> None:
+        """Tell the client that these steps are being handed over."""
+        self._report(warn(self._maker.waiting(steps), self.warning))
+
     def progress(self, execution: Execution | None) -> None:
-        """Tell the client where the plan is; None: it is being handed over."""
-        self._report(self._maker.progress(execution))
+        """Tell the client where the plan is; None: nothing is known of it."""
+        self._report(warn(self._maker.progress(execution), self.warning))
 
     def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
         """Tell the client how it ended; once."""
         if not self.ended:
             self.ended = True
-            self._report(self._maker.end(outcome, execution))
+            self._report(warn(self._maker.end(outcome, execution), self.warning))
             self._settle(outcome)
 
     def _settle(self, outcome: Outcome) -> None:
@@ -73,11 +82,16 @@ class ActionGoal(Goal):
     """A goal of the action. Its result comes a little behind the last feedback."""
 
     def __init__(
-        self, handle: ServerGoalHandle, executor: Any, node: Node, report: Report, maker: FeedbackMaker
+        self,
+        handle: ServerGoalHandle,
+        executor: Any,
+        node: Node,
+        report: Callable[[ExecuteStepPlan.Feedback, Any], None],
+        maker: FeedbackMaker,
     ) -> None:
         def tell(feedback: ExecuteStepPlan.Feedback) -> None:
             handle.publish_feedback(feedback)
-            report(feedback)
+            report(feedback, handle.goal_id)
 
         super().__init__(handle.request.step_plan, tell, maker)
         self._handle = handle
@@ -106,7 +120,7 @@ class ActionGoal(Goal):
         else:
             self._handle.abort()
         result = ExecuteStepPlan.Result()
-        result.status.header.frame_id = ODOM
+        result.status.header.frame_id = self._maker.frame
         result.status.status = outcome.status
         result.controller_state = final_state(outcome)
         return result
@@ -119,25 +133,45 @@ class Clients:
         floods: of the topic.
     """
 
-    def __init__(self, node: Node, executor: Any, begin: Callable[[Goal], None], stop: Callable[[Goal], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        executor: Any,
+        begin: Callable[[Goal], None],
+        stop: Callable[[Goal], None],
+        *,
+        now: Callable[[], int],
+        frame: str,
+        others: bool = False,
+    ) -> None:
+        """``now``: gives robot time [ns]; ``frame``: odom, as tf names it; ``others``: computers that may command."""
         self._node = node
         self._executor = executor
         self._begin = begin
         self._stop = stop
-        self._maker = FeedbackMaker()
+        self._maker = FeedbackMaker(now, frame)
         self._goals: dict[bytes, ActionGoal] = {}
         latched = QoSProfile(depth=WORDS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._feedback = node.create_publisher(ExecuteStepPlan.Feedback, FEEDBACK, latched)
+        self._feedback = node.create_publisher(FEEDBACK_MESSAGE, FEEDBACK, latched)
         self.floods = TopicFloods(lambda topic: (one.node_name for one in node.get_publishers_info_by_topic(topic)))
-        node.create_subscription(StepPlan, EXECUTE, self.floods.counted(EXECUTE, self._published), 10)
+        topic = node.resolve_topic_name(EXECUTE)
+        published = self.floods.counted(topic, self._published)
+        node.create_subscription(StepPlan, EXECUTE, timely(topic, published, others=others), 10)
         # Every goal is accepted and then refused with a result: ROS has no words for a rejected goal.
         self._server = ActionServer(node, ExecuteStepPlan, EXECUTE, self._execute, cancel_callback=self._cancel)
 
     def _published(self, plan: StepPlan) -> None:
-        self._begin(Goal(plan, self._feedback.publish, self._maker))
+        self._begin(Goal(plan, self._tell, self._maker))
+
+    def _tell(self, feedback: ExecuteStepPlan.Feedback, goal_id: Any = None) -> None:
+        """Whoever watches; of a plan that was published there is no goal."""
+        message = FEEDBACK_MESSAGE(feedback=feedback)
+        if goal_id is not None:
+            message.goal_id = goal_id
+        self._feedback.publish(message)
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteStepPlan.Result:
-        goal = ActionGoal(handle, self._executor, self._node, self._feedback.publish, self._maker)
+        goal = ActionGoal(handle, self._executor, self._node, self._tell, self._maker)
         key = bytes(handle.goal_id.uuid)
         self._goals[key] = goal
         try:

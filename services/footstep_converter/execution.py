@@ -57,7 +57,7 @@ def aborted(status: int, text: str, error: int = ErrorStatus.ERR_UNKNOWN) -> Out
 
 def refusal(behavior: str, reason: str) -> Outcome:
     """What the Motion Manager's refusal means: its own words, and the flag for the behavior it is in."""
-    if behavior in STEPPING | STANDING:
+    if behavior in STEPPING:
         return aborted(_F.ERR_CONTROLLER_NOT_READY, reason, ErrorStatus.ERR_NO_SOLUTION)
     halt = _LEFT_FOR.get(behavior, 0) & _F.ERR_FALLEN
     return aborted(_F.ERR_INVALID_BEHAVIOR_MODE | halt, reason)

@@ -29,7 +29,9 @@ _log = logging.getLogger("footstep_converter")
 class Frames:
     """tf as this node has heard it."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, prefix: str) -> None:
+        """Args: node: that hears them; prefix: of the robot's frames."""
+        self._odom = prefix + ODOM
         self._buffer = TransformBuffer(HISTORY)
         self._unread: deque[tuple[float, bytes]] = deque(maxlen=MOST)
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -43,12 +45,12 @@ class Frames:
             TooNewError: not yet known for that time.
             TransformError: cannot be said.
         """
-        if frame.lstrip("/") == ODOM:
+        if frame.lstrip("/") == self._odom:
             return None
         while self._unread:
             _, data = self._unread.popleft()
             self._take(deserialize_message(data, TFMessage), static=False)
-        return self._buffer.lookup(ODOM, frame, stamp)
+        return self._buffer.lookup(self._odom, frame, stamp)
 
     def _keep(self, data: bytes) -> None:
         now = time.monotonic()

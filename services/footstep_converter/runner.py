@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 
-from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus
+from vigir_footstep_planning_msgs.msg import ErrorStatus, FootstepExecutionStatus, StepPlan
 
 import bifrost
 from valor.common.messages import FootstepPlanReply, StepStatus
@@ -81,7 +81,7 @@ class PlanRunner:
         statistics: StatisticsPublisher,
         *,
         wake: Callable[[], None],
-        refusal: str = "",
+        refusal: Callable[[], str],
     ) -> None:
         """Without a plan.
 
@@ -91,13 +91,14 @@ class PlanRunner:
             frames: where a plan's frame is.
             statistics: of the process: plans refused.
             wake: called, from any thread, when ``turn`` has something to see to.
-            refusal: why every plan is refused; empty: it is not.
+            refusal: why every plan is refused now; empty: it is not.
         """
         self._robot, self._motion, self._frames, self._statistics = robot, motion, frames, statistics
         self._wake, self._ros_refusal = wake, refusal
         self._waiting: _Waiting | None = None
         self._handover: _Handover | None = None
         self._running: _Running | None = None
+        self._taken: StepPlan | None = None  # the plan that the Motion Manager took last, as it came
         self._stop_goals: list[Goal] = []  # that asked for the running plan's end
         self._stop = Stop(motion, wake)
 
@@ -132,8 +133,8 @@ class PlanRunner:
 
     def begin(self, goal: Goal) -> None:
         """A new goal: a plan to hand over, or a stop."""
-        if self._ros_refusal:
-            self._refuse(goal, _not_now(self._ros_refusal))
+        if refused := self._ros_refusal():
+            self._refuse(goal, _not_now(refused))
         elif goal.cancel_requested:
             goal.end(Outcome(End.CANCELED, _F.NO_ERROR, ErrorStatus.NO_ERROR, "canceled before it was handed over"))
         elif not goal.plan.steps and self._busy:
@@ -163,7 +164,16 @@ class PlanRunner:
             self._refuse(goal, error)
         else:
             self._handover = _Handover(goal, steps, self._motion.request(steps, self._wake))
-            goal.progress(None)
+            goal.warning = self._repeated(goal)
+            goal.waits(steps)
+
+    def _repeated(self, goal: Goal) -> str:
+        """What is to be said of a plan that was sent before; empty: nothing."""
+        if goal.plan != self._taken:
+            return ""
+        text = "nothing of it changes" if self._running is not None else "it is walked again"
+        _log.warning("the same plan as the one before: %s", text)
+        return f"the same plan as the one before: {text}"
 
     def _refuse(self, goal: Goal, error: PlanError) -> None:
         self._not_taken(goal, aborted(error.status, str(error), error.error))
@@ -217,6 +227,8 @@ class PlanRunner:
         self._handover = None
         now = time.monotonic()
         refused = self._refused(handover.reply)
+        if refused is None:
+            self._taken = handover.goal.plan
         if refused is not None:
             self._not_taken(handover.goal, refused)
         elif self._running is not None:

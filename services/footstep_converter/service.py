@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 
 from valor.footstep_converter.clients import Clients
 from valor.footstep_converter.execution import aborted
-from valor.footstep_converter.frames import Frames
+from valor.footstep_converter.frames import ODOM, Frames
 from valor.footstep_converter.motion_system import ANSWER, MotionSystem
 from valor.footstep_converter.runner import PlanRunner
-from valor.service import Context
+from valor.ros.node import ProcessNode, RosSide
+from valor.service import Context, quiet_collector
 
 IDLE_PERIOD = 0.25  # between looks at the clock without a plan [s]
 ACTIVE_PERIOD = 0.02  # between looks at the Motion Manager with one [s]
+PAUSED = "the footstep converter is paused (lifecycle state inactive)"
 LAST_TURNS = 10  # in which the results of the last goals leave
 
 _F = FootstepExecutionStatus
@@ -30,30 +30,37 @@ class FootstepConverter:
         self._stopping = context.stopping
         self._statistics = context.statistics
         self._motion = MotionSystem(context.node)
-        self._ros = rclpy.Context()
-        rclpy.init(
-            context=self._ros,
-            domain_id=context.settings.ros_domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self._executor = SingleThreadedExecutor(context=self._ros)
-        self._node = rclpy.create_node("footstep_converter", context=self._ros, enable_rosout=False)
-        self._executor.add_node(self._node)
+        self._side = RosSide(
+            context.name, context.settings, context.instance.environment(), context.arguments,
+            node=partial(ProcessNode, knows_time=True), pause=self._busy,
+        )  # fmt: skip
+        self._node, self._executor = self._side.node, self._side.executor
         self._plans = PlanRunner(
             context.robot,
             self._motion,
-            Frames(self._node),
+            Frames(self._node, context.settings.frame_prefix),
             context.statistics,
             wake=self._executor.wake,
-            refusal=context.settings.ros_refusal,
+            refusal=lambda: PAUSED if self._side.life.paused else context.settings.ros_refusal,
         )
-        self._clients = Clients(self._node, self._executor, self._plans.begin, self._plans.cancel)
+        self._clients = Clients(
+            self._node,
+            self._executor,
+            self._plans.begin,
+            self._plans.cancel,
+            now=lambda: self._motion.time,
+            frame=context.settings.frame_prefix + ODOM,
+            others=bool(context.settings.peers),
+        )
+        self._side.life.configured()
 
     def run(self) -> None:
         """Serve until told to stop."""
         self._statistics.watch(self._motion.heard.values(), self._clients.floods)
         self._statistics.depend(self._motion.heard, lambda: self._motion.time)
         self._statistics.state("ready")
+        self._side.life.tell(True)
+        quiet_collector()
         while not self._stopping.is_set():
             self._turn()
         self._wind_up()
@@ -62,13 +69,16 @@ class FootstepConverter:
         """Leave ROS and Bifrost."""
         self._motion.close()
         self._clients.close()
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._ros.try_shutdown()
+        self._side.close()
+
+    def _busy(self) -> str:
+        """Why no pause now."""
+        return "" if self._plans.idle else "a plan is under way; stop it first"
 
     def _turn(self) -> None:
         self._executor.spin_once(timeout_sec=IDLE_PERIOD if self._plans.idle else ACTIVE_PERIOD)
         self._plans.turn()
+        self._node.tell_time(self._motion.time)
         self._statistics.drops = self._motion.drops
         self._statistics.idle()
 

@@ -10,11 +10,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.context import Context as RosContext
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from valor_msgs.msg import HdtCommand as RosCommand
 from valor_msgs.msg import HdtState as RosState
 
@@ -25,6 +22,8 @@ from valor.common.topics import STATISTICS, hdt_topics
 from valor.devices.table import HdtBifrost
 from valor.hdt_bridge.driver_report import DRIVER, statistics
 from valor.hdt_bridge.twin import Twin
+from valor.ros.node import WALL, RosSide, Untouched
+from valor.ros.taking import take, uncalled, waiting
 from valor.service import Context, quiet_collector
 
 LOOK_EVERY = 0.004  # at ROS, which nobody waits for [s]
@@ -35,26 +34,27 @@ _NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=Relia
 class _Limb:
     """The two topics of a limb, on both sides."""
 
-    def __init__(self, bifrost_node: bifrost.Node, ros_node: Any, name: str) -> None:
+    def __init__(self, bifrost_node: bifrost.Node, ros_node: Any, untouched: Untouched, name: str) -> None:
         commands, states = hdt_topics(name)
         self.commands, self._states = commands.subscriber(bifrost_node), states.publisher(bifrost_node)
-        self._ros_commands = ros_node.create_publisher(RosCommand, f"/hdt/{name}/command", _NEWEST)
-        self._ros_states = ros_node.create_subscription(RosState, f"/hdt/{name}/state", _unused, _NEWEST)
+        self._ros_commands = ros_node.create_publisher(RosCommand, f"hdt/{name}/command", _NEWEST)
+        self._ros_states = ros_node.create_subscription(
+            RosState, f"hdt/{name}/state", uncalled, _NEWEST, callback_group=untouched
+        )
         self._command, self._state = Twin(HdtCommand, RosCommand), Twin(HdtState, RosState)
-        self._clock = ros_node.get_clock()
 
     def forward_command(self) -> None:
         """To ROS, if there is a new one."""
         received = self.commands.latest()
         if received is not None:
-            self._ros_commands.publish(self._command.to_ros(received, self._clock.now().to_msg()))
+            self._ros_commands.publish(self._command.to_ros(received, WALL.now().to_msg()))
 
     def forward_state(self) -> bool:
         """To Bifrost, if there is a new one; whether there was."""
-        state = _take(self._ros_states, RosState)
-        if state is not None:
-            self._states.publish(self._state.from_ros(state))
-        return state is not None
+        taken = take(self._ros_states)
+        if taken is not None:
+            self._states.publish(self._state.from_ros(taken[0]))
+        return taken is not None
 
 
 class HdtBridge:
@@ -63,25 +63,26 @@ class HdtBridge:
     def __init__(self, context: Context) -> None:
         self._stopping = context.stopping
         self._own = context.statistics
-        self._ros = RosContext()
-        rclpy.init(
-            context=self._ros, domain_id=context.settings.ros_domain_id, signal_handler_options=SignalHandlerOptions.NO
-        )
-        self._node = rclpy.create_node(
-            "hdt_bridge", context=self._ros, enable_rosout=False, start_parameter_services=False
-        )
         devices = context.robot.tables.devices.values()
         names = [limb.group for device in devices if isinstance(device, HdtBifrost) for limb in device.limbs]
         if not names:
             raise ConfigurationError(f"{context.robot.folder / 'robot.yaml'}: devices: none of kind hdt_bifrost")
-        self._limbs = [_Limb(context.node, self._node, name) for name in names]
-        self._diagnostics = self._node.create_subscription(DiagnosticArray, "/diagnostics", _unused, 10)
+        self._side = RosSide(
+            context.name, context.settings, context.instance.environment(), context.arguments, sim_time=False
+        )
+        node, untouched = self._side.node, Untouched()
+        self._limbs = [_Limb(context.node, node, untouched, name) for name in names]
+        self._diagnostics = node.create_subscription(
+            DiagnosticArray, "diagnostics", uncalled, 10, callback_group=untouched
+        )
+        self._side.life.configured()
         self._driver = STATISTICS[DRIVER].publisher(context.node)
 
     def run(self) -> None:
         """Forward until told to stop."""
         quiet_collector()
         self._own.state("ready")
+        self._side.life.tell(True)
         commands = [limb.commands for limb in self._limbs]
         look_at = 0.0
         while not self._stopping.is_set():
@@ -96,6 +97,7 @@ class HdtBridge:
             if began >= look_at:
                 look_at = began + 0.1
                 self._tell_of_driver()
+                self._side.attend()
             if news:
                 self._own.cycle(began, waited)
             else:
@@ -103,21 +105,9 @@ class HdtBridge:
 
     def close(self) -> None:
         """Leave ROS."""
-        self._node.destroy_node()
-        self._ros.try_shutdown()
+        self._side.close()
 
     def _tell_of_driver(self) -> None:
-        while (message := _take(self._diagnostics, DiagnosticArray)) is not None:
+        for message in waiting(self._diagnostics):
             if (report := statistics(message)) is not None:
                 self._driver.publish(report)
-
-
-def _take(subscription: Any, message_type: type[Any]) -> Any | None:
-    handle = subscription.handle
-    with handle:
-        taken = handle.take_message(message_type, False)
-    return None if taken is None else taken[0]
-
-
-def _unused(_: Any) -> None:
-    raise AssertionError("nothing spins this node")

@@ -10,20 +10,20 @@
 from __future__ import annotations
 
 import array
+import sys
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.context import Context
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from valor_msgs.msg import HdtCommand, HdtState
 
 from valor.common.arrays import FloatArray
+from valor.common.instance import Settings
 from valor.devices.hdt_bus import Setpoints
 from valor.hdt_driver.limb import Command, Limb
+from valor.ros.node import WALL, RosSide, Untouched
+from valor.ros.taking import take, uncalled
 
 NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -31,33 +31,35 @@ NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=Reliab
 class DriverNode:
     """Node ``hdt_driver``."""
 
-    def __init__(self, domain_id: int, limbs: Iterable[Limb]) -> None:
-        self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(
-            "hdt_driver", context=self._context, enable_rosout=False, start_parameter_services=False
-        )
-        self._clock = self._node.get_clock()
+    def __init__(self, settings: Settings, environment: Mapping[str, str], limbs: Iterable[Limb]) -> None:
+        self._side = RosSide("hdt_driver", settings, environment, sys.argv[1:], sim_time=False)
+        self._node = self._side.node
+        untouched = Untouched()
         self._commands = {
-            limb.name: self._node.create_subscription(HdtCommand, f"/hdt/{limb.name}/command", _unused, NEWEST)
+            limb.name: self._node.create_subscription(
+                HdtCommand, f"hdt/{limb.name}/command", uncalled, NEWEST, callback_group=untouched
+            )
             for limb in limbs
         }
         self._states = {
-            name: (self._node.create_publisher(HdtState, f"/hdt/{name}/state", NEWEST), HdtState())
+            name: (self._node.create_publisher(HdtState, f"hdt/{name}/state", NEWEST), HdtState())
             for name in self._commands
         }
-        self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._side.life.configured()
 
     def close(self) -> None:
         """Leave the graph."""
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._side.close()
+
+    def attend(self, ready: bool, waits_for: str) -> None:
+        """Answer who asks where the driver is in its life, and publish what it has logged."""
+        self._side.life.tell(ready, waits_for)
+        self._side.attend()
 
     def command(self, limb: str) -> Command | None:
         """The newest command of a limb that was not returned before."""
-        handle = self._commands[limb].handle
-        with handle:
-            taken = handle.take_message(HdtCommand, False)
+        taken = take(self._commands[limb])
         if taken is None:
             return None
         message = taken[0]
@@ -72,7 +74,7 @@ class DriverNode:
     def publish(self, limb: Limb, sequence: int) -> None:
         """A limb's state, as far as it is known."""
         publisher, message = self._states[limb.name]
-        stamp = self._clock.now()
+        stamp = WALL.now()
         message.header.stamp = stamp.to_msg()
         message.header.frame_id = limb.name
         message.time = stamp.nanoseconds
@@ -89,7 +91,7 @@ class DriverNode:
     def diagnose(self, rows: Iterable[tuple[str, str, bool, str, Mapping[str, object]]]) -> None:
         """Publish rows of (name, hardware id, whether all is well, message, values)."""
         message = DiagnosticArray()
-        message.header.stamp = self._clock.now().to_msg()
+        message.header.stamp = WALL.now().to_msg()
         message.status = [
             DiagnosticStatus(
                 level=DiagnosticStatus.OK if well else DiagnosticStatus.ERROR,
@@ -104,10 +106,6 @@ class DriverNode:
 
 
 _NUMBERS = ("position", "velocity", "effort", "stiffness", "damping")
-
-
-def _unused(_: Any) -> None:
-    raise AssertionError("nothing spins this node")
 
 
 def _vector(values: array.array[float]) -> FloatArray:

@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from types import FrameType
 
 import psutil
@@ -25,6 +26,7 @@ from valor.hdt_driver.limb import Limb
 from valor.hdt_driver.ros import DriverNode
 from valor.robot.description import RobotDescription
 
+ATTEND_EVERY = 0.1  # to who asks ROS for something else than states [s]
 DIAGNOSE_EVERY = 1.0  # and at every change of state [s]
 
 _LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
@@ -34,7 +36,7 @@ _log = logging.getLogger("hdt_driver")
 class HdtDriver:
     """Exchanges commands and states with every limb, hands at a fraction of the arms' rate."""
 
-    def __init__(self, settings: Settings, robot: RobotDescription) -> None:
+    def __init__(self, settings: Settings, environment: Mapping[str, str], robot: RobotDescription) -> None:
         tables = [device for device in robot.tables.devices.values() if isinstance(device, HdtBifrost)]
         if len(tables) != 1:
             raise ConfigurationError(f"{robot.folder / 'robot.yaml'}: devices: expected one of kind hdt_bifrost")
@@ -43,7 +45,7 @@ class HdtDriver:
         self._limbs = [Limb(robot, limb.group, self._period * limb.every) for limb in table.limbs]
         self._every = {limb.group: limb.every for limb in table.limbs}
         self._serials = {limb.group: limb.serial for limb in table.limbs}
-        self._ros = DriverNode(settings.ros_domain_id, self._limbs)
+        self._ros = DriverNode(settings, environment, self._limbs)
         try:
             bus = open_can(settings, table.bus, (hdt_bus.STATE, hdt_bus.IDENTITY), hdt_bus.KIND)
             self._bus = ModuleBus(bus, list(zip(self._limbs, table.limbs, strict=True)))
@@ -63,7 +65,7 @@ class HdtDriver:
     def run(self, stopping: threading.Event) -> None:
         """Until told to stop. The modules then hold by themselves."""
         due = began = self._began = time.monotonic()
-        sequence = 0
+        sequence, attend_at = 0, 0.0
         while not stopping.is_set():
             sequence += 1
             before, began = began, time.monotonic()
@@ -91,6 +93,9 @@ class HdtDriver:
             self._work += work
             self._work_max = max(self._work_max, work)
             self._diagnose(began)
+            if began >= attend_at:
+                attend_at = began + ATTEND_EVERY
+                self._ros.attend(self._ready, "limbs that do not answer")
 
     def close(self) -> None:
         """Leave bus and ROS."""
@@ -155,9 +160,10 @@ def main() -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     try:
-        settings = Instance.from_environment().settings()
+        instance = Instance.from_environment()
+        settings = instance.settings()
         take_priority(BY_NAME["hdt_driver"].priority)
-        driver = HdtDriver(settings, RobotDescription.load(settings.robot))
+        driver = HdtDriver(settings, instance.environment(), RobotDescription.load(settings.robot))
     except ConfigurationError as error:
         _log.error("%s", error)
         return os.EX_CONFIG

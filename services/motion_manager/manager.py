@@ -153,9 +153,10 @@ class MotionManager:
         parts, now = self.parts, self.time * 1e-9
         parts.upper_body.update(now)
         parts.hand_contacts.update(proprioceptor)
+        parts.hand_loads.update(proprioceptor, state, parts.hand_contacts, now)
         if parts.hand_goals.active and self.fsm.manipulation is not Manipulation.TELEOP:
             parts.hand_goals.release_all(f"the behavior is {self.fsm.behavior}")
-        parts.hand_goals.advance(state, now, dt)
+        parts.hand_goals.advance(state, state.joint_position, now, dt)
         parts.reference.advance(now, dt)
         parts.balance.recover(parts.hand_contacts)
         parts.drivers.drive(state, now, dt)

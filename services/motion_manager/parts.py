@@ -11,8 +11,10 @@ from valor.common.messages import MotionState
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.hands.hand_contact import HandContacts
 from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
+from valor.motion_manager.hands.hand_loads import HandLoads
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.servo_compensation import ServoCompensation
 from valor.motion_manager.joints.upper_body import UpperBody
 from valor.motion_manager.locomotion.balance import BalanceControl, Balanced, Stepping
 from valor.motion_manager.locomotion.drivers import Drivers
@@ -63,9 +65,11 @@ class Parts:
         self.command = MotorCommand(robot)
         self.reference = JointReference(robot)
         self.gains = JointGains(robot, self.command.impedance)
+        self.servos = ServoCompensation(robot, self.command)
         self.upper_body = UpperBody(robot, self.reference)
         self.hand_goals = HandGoals(model, self.reference, robot.nominal_posture)
         self.hand_contacts = HandContacts(robot.tables.hands)
+        self.hand_loads = HandLoads(model, self.servos)
         self.velocity_steps = VelocitySteps(robot.tables.walking)
         self.step_queue = StepQueue()
         self.posture = PostureControl(robot, self.reference, self.command)
@@ -79,6 +83,7 @@ class Parts:
             posture=self.posture,
             motors=self.command,
             gains=self.gains,
+            servos=self.servos,
             velocity_steps=self.velocity_steps,
             step_queue=self.step_queue,
         )
@@ -147,6 +152,7 @@ class Parts:
         return MotionState(
             time=self.time,
             proprioceptor_sequence=proprioceptor_sequence,
+            setpoint_sequence=self.upper_body.setpoint_sequence,
             behavior=fsm.behavior,
             locomotion=fsm.locomotion,
             manipulation=fsm.manipulation,

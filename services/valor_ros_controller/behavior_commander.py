@@ -86,7 +86,7 @@ class BehaviorCommander(threading.Thread):
             return BehaviorAnswer(number, False, str(error), silent=True)
         asked = "the Motion Manager" if client is self._client else "the Comms Manager"
         reason = f"{asked} refused {behavior}: {reply.reason}"
-        return BehaviorAnswer(number, reply.accepted, reason, reply.behavior)
+        return BehaviorAnswer(number, reply.accepted, reason, reply.behavior, obstacle=reply.obstacle)
 
     def close(self) -> None:
         """End the thread, at the latest when a call under way has timed out."""

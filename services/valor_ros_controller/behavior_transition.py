@@ -14,8 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, auto
 
+from valor.common.behaviors import Obstacle
+
 REPORT_TIMEOUT = 3.0
 """How long the Motion System may take to report a behavior that it accepted [s]."""
+WAIT = 45.0
+"""For so long a command is repeated that the Motion System refuses for something that passes by itself [s]."""
+AGAIN = 0.1
+"""So often [s]."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,7 @@ class BehaviorAnswer:
         number: of the command that is answered.
         accepted: by the Motion Manager.
         reason: why not.
+        obstacle: what kind of reason.
         behavior: that the Motion Manager is in; empty: not known.
         silent: no answer came at all.
     """
@@ -35,6 +42,7 @@ class BehaviorAnswer:
     reason: str
     behavior: str = ""
     silent: bool = False
+    obstacle: str = Obstacle.NONE
 
 
 class TransitionState(Enum):
@@ -51,6 +59,8 @@ class BehaviorTransition:
     Attributes:
         state: how far it is.
         reason: why it failed.
+        obstacle: what kind of refusal it failed for.
+        waits_for: what must pass before the present command is accepted; empty: nothing known.
         silent: it failed because nobody answered.
         diverted: it failed because the Motion System went elsewhere on its own.
     """
@@ -69,6 +79,8 @@ class BehaviorTransition:
         """
         self.state = TransitionState.PROCESSING
         self.reason = ""
+        self.obstacle = Obstacle.NONE
+        self.waits_for = ""
         self.silent = False
         self.diverted = False
         self._commands = commands
@@ -81,6 +93,8 @@ class BehaviorTransition:
         self._step = 0
         self._sent = False
         self._deadline: float | None = None
+        self._again: float | None = None  # when to repeat the present command
+        self._patience: float | None = None  # until when
 
     def update(self, now: float, behavior: str, reason: str, answer: BehaviorAnswer | None) -> tuple[int, str] | None:
         """Take in what is new; returns the number and the name of a behavior to ask for now, if any.
@@ -98,15 +112,14 @@ class BehaviorTransition:
             self.diverted = True
             self._fail(f"the Motion System went to {behavior}: {reason}")
             return None
-        if not self._sent:
-            self._sent = True
+        if not self._sent or (self._again is not None and now >= self._again):
+            self._sent, self._again = True, None
             return self._numbers[self._step], command
         arrived = behavior == command
         if answer is not None and answer.number == self._numbers[self._step]:
             # A reply that was lost on its way is no refusal, if the Motion System is where it was asked to go.
             if not (answer.accepted or (answer.silent and arrived)):
-                self.silent = answer.silent
-                self._fail(answer.reason)
+                self._refused(answer, now)
                 return None
             self._deadline = now + REPORT_TIMEOUT
             arrived = arrived or (self._step == 0 and answer.behavior == command)
@@ -120,9 +133,20 @@ class BehaviorTransition:
             )
         return None
 
+    def _refused(self, answer: BehaviorAnswer, now: float) -> None:
+        """Wait for what passes by itself, and give up otherwise."""
+        self._patience = self._patience or now + WAIT
+        if answer.obstacle == Obstacle.WAIT and now < self._patience:
+            self.waits_for, self._again = answer.reason, now + AGAIN
+            return
+        self.silent, self.obstacle = answer.silent, Obstacle(answer.obstacle)
+        waited = f", for which {WAIT:g} s were waited" if answer.obstacle == Obstacle.WAIT else ""
+        self._fail(answer.reason + waited)
+
     def _go_on(self, behavior: str) -> tuple[int, str] | None:
         """The present command has led where it should."""
-        self._deadline = None
+        self._deadline = self._patience = None
+        self.waits_for = ""
         if self._step == 1:
             self.state = TransitionState.DONE
             return None

@@ -126,8 +126,8 @@ class Core:
     @property
     def rejected(self) -> int:
         """How many messages, control modes and trajectories were refused."""
-        trajectories = sum(controller.rejected for controller in self.trajectories.values())
-        return self.interface.rejected + self.mode_controller.rejected + trajectories
+        trajectories = sum(controller.refusals.count for controller in self.trajectories.values())
+        return self.interface.rejected + self.mode_controller.refusals.count + trajectories
 
     def wait(self) -> bool:
         """Wait for the measurement that a cycle is due for, and store it; whether it came."""
@@ -148,6 +148,7 @@ class Core:
         self.queue.run()  # behind the controllers, so that a goal that came before a question is under way
         if measured:
             self.interface.write()
+            self.interface.tell_cycle()
         self.interface.report(self.mode_controller.report)
 
     def _enter_mode(self, went_back: bool) -> None:

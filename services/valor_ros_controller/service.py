@@ -13,13 +13,13 @@ from functools import partial
 from rcl_interfaces.msg import ParameterDescriptor
 
 from valor.common.trace import Stage
+from valor.robot.kinematic_tree import KinematicTree
+from valor.ros.parameters import Parameters, Range
 from valor.service import Context, quiet_collector
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.core import Core
-from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.faces import Faces
 from valor.valor_ros_controller.ros.node import RosThread
-from valor.valor_ros_controller.ros.parameters import Parameters, Range
 
 SWITCH_INTERVAL = 0.0005
 """How long the ROS thread may keep the interpreter from the update thread [s]; Python's own is ten times that."""
@@ -38,12 +38,13 @@ class ValorRosController:
         self._context = context
         tree = KinematicTree.load(context.robot)
         sys.setswitchinterval(SWITCH_INTERVAL)
-        self._ros = RosThread(context.name, sys.argv[1:])
+        self._ros = RosThread(context)
         try:
             self._assemble(tree, Parameters(self._ros.node))
         except BaseException:
             self._ros.close()
             raise
+        self._ros.life.configured()
         self._cycles = 0
         self._next_snapshot = 0.0
 
@@ -110,11 +111,12 @@ class ValorRosController:
         """Tell the diagnostics and the statistics how we fare."""
         core, faces, statistics = self._core, self._faces, self._context.statistics
         faces.hand_over(self._cycles)
-        statistics.rejected = core.rejected + self._ros.failures + faces.bypass.rejected
+        statistics.rejected = core.rejected + self._ros.failures + faces.bypass.rejections.own.count
         if silent := core.interface.silent:
             statistics.state("starting", f"waiting for {silent}")
         else:
             statistics.state("ready")
+        self._ros.life.tell(not silent, silent)
 
     def close(self) -> None:
         """End the threads; ROS last but one, the Bifrost node, which is not ours, last."""

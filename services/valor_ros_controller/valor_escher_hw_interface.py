@@ -17,6 +17,8 @@ from valor.robot.description import RobotDescription
 
 PELVIS = "pelvis"
 """Stands for the pelvis' six among the groups of joints."""
+HAND_GOAL = "hand_goal"
+"""As MotionState says who leads an arm."""
 PELVIS_SMOOTHING = 0.04
 """Time constant of the pelvis' velocity, which is taken from its estimated places [s]."""
 LONGEST_STEP = 0.02

@@ -18,6 +18,7 @@ import bifrost
 from valor.common import topics
 from valor.common.arrays import FloatArray
 from valor.common.messages import (
+    ControllerCycle,
     ControlModeReport,
     JointSetpoints,
     MotionState,
@@ -29,10 +30,12 @@ from valor.robot.commanded_limits import Indices
 from valor.valor_ros_controller.behavior_commander import Commander
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor.valor_ros_controller.controllers.mode_requests import ModeReport
+from valor.valor_ros_controller.cycle_gaps import CycleGaps
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
 
+LATE = 1  # a cycle that comes more than so many periods after it was due is late
 REPORT_PERIOD = 0.1
 """The control mode is reported on Bifrost on change and this often [s]."""
 
@@ -46,6 +49,7 @@ class ValorEscherInterface:
         silent: name of the process that is silent; empty: none.
         motion_state: the newest believable MotionState and its envelope.
         step_status: what the Motion System says of a footstep plan; None: not heard, or silent.
+        gaps: between cycles.
         rejected: how many messages were of the wrong length or not finite.
     """
 
@@ -71,6 +75,7 @@ class ValorEscherInterface:
             clock: monotonic [s].
         """
         self._clock = clock
+        self.gaps = CycleGaps(decimation + LATE)
         self._hw = hw
         self._decimation = decimation
         self._timeout = silence_timeout
@@ -83,8 +88,10 @@ class ValorEscherInterface:
             topics.MOTION_STATE: self._motion_state,
             topics.STEP_STATUS: self._step_status,
         }
+        self._robot_clock = topics.CLOCK.subscriber(node)
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
         self._pelvis = topics.PELVIS.publisher(node)
+        self._cycle = topics.CYCLE.publisher(node)
         self._control_mode = topics.CONTROL_MODE.publisher(node)
         self._commander = commander(self.wake)
         self._transition: BehaviorTransition | None = None
@@ -156,6 +163,7 @@ class ValorEscherInterface:
         if not isfinite(position @ position + velocity @ velocity):  # quicker than looking at each number
             self._reject(f"{topics.PROPRIOCEPTOR.name}: a joint's position or velocity is not finite")
             return False
+        self.gaps.note(measured.sequence - self._last_sequence, self._clock())
         self._last_sequence = measured.sequence
         self._hw.take_measurement(measured)
         return True
@@ -168,6 +176,7 @@ class ValorEscherInterface:
     def listen(self) -> None:
         """Take in the Motion System's state, who is silent, and how the transition under way fares."""
         now = self._clock()
+        self._excuse_silence(now)
         received = self._motion_state.latest()
         if received is not None:
             motion = received.message
@@ -193,6 +202,12 @@ class ValorEscherInterface:
             self.behavior = ""
             self.step_status = None
         self._proceed(now)
+
+    def _excuse_silence(self, now: float) -> None:
+        """While a simulation's time is paused, nobody has anything to say, and what goes on goes on afterwards."""
+        clock = self._robot_clock.latest()
+        if clock is not None and clock.message.mode == topics.PAUSED and not self.silent:
+            self._heard_proprioceptor = self._heard_motion = now
 
     def _who_is_silent(self, now: float) -> str:
         """The process that stopped; the other one may have nothing to say without it."""
@@ -245,6 +260,10 @@ class ValorEscherInterface:
         if k < len(position):
             self.lead_pelvis(position[k:], velocity[k:])
         self.set_points_sent += 1
+
+    def tell_cycle(self) -> None:
+        """A cycle is done: a world in lockstep may go on."""
+        self._cycle.publish(ControllerCycle(self._hw.time, self._last_sequence, self._decimation))
 
     def lead_pelvis(self, position: FloatArray, velocity: FloatArray) -> None:
         """Say where the pelvis shall be: (6,) as in ``PelvisSetpoint``, and their rates."""

@@ -168,3 +168,48 @@ def test_a_cable_pulled_and_put_back(cabled: BifrostNetwork) -> None:
     # Newcomers on either side find the others too.
     late = net.peer("subscribe", "lab/sample", "10", computer="near")
     assert late.line()["count"] > 0
+
+
+@pytest.fixture(params=[3.0, -3.0])
+def clocks_apart(two_computers: BifrostNetwork, request: pytest.FixtureRequest) -> BifrostNetwork:
+    """The clock of far is ahead of near's, or behind it."""
+    within = ("unshare", "--time", f"--monotonic={request.param:g}", f"--boottime={request.param:g}")
+    if subprocess.run([*within, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("no time namespaces here")
+    two_computers.within["far"] = within
+    for computer in ("near", "far"):
+        two_computers.start_daemon(computer)
+    return two_computers
+
+
+def test_stamps_of_another_computer_are_brought_to_ones_own_clock(clocks_apart: BifrostNetwork) -> None:
+    node = clocks_apart.node("test", "near")
+    subscriber = node.subscriber("lab/sample", Sample, queue=10_000)
+    clocks_apart.peer("publish", "lab/sample", "100", computer="far")
+    heard = [subscriber.receive(timeout=60.0) for _ in range(100)]
+    ages = [1e-9 * (received.arrived - received.stamp) for received in heard if received]
+    assert len(ages) == 100 and subscriber.rejected == 0
+    # From the first on: 3 s would not pass, nor a stamp of the future by more than the clock is known to.
+    assert min(ages) > -0.5 and sorted(ages)[50] < 1.0, ages
+    [info] = [bifrost.daemon_alive(clocks_apart.on("near"), 5.0)]
+    assert info is not None
+    ahead, error, _ = info.clocks["far"]
+    assert abs(abs(ahead) - 3.0) <= error + 0.01
+
+
+def test_what_comes_late_from_another_computer_is_not_done(clocks_apart: BifrostNetwork) -> None:
+    """A request that a cable has held back is one whose client has given up: by the server's clock, 3 s from ours."""
+    clocks_apart.peer("serve", "lab/ask", computer="far")
+    client = clocks_apart.node("test", "near").client("lab/ask", Question, Answer)
+    question = Question("open", 0.0)
+    assert client.call(question, timeout=60.0).text == "open for test"
+    socket, server = client._socket, client._watch.peers[-1]
+    assert socket is not None
+
+    def passed() -> list[tuple[int, int]]:
+        found = bifrost.counts(clocks_apart.on("near"), "lab/ask", 2.0)
+        return [(each.messages, each.rejected) for counts in found.values() for each in counts if each.kind == "server"]
+
+    for ends in (-0.2, 60.0, -0.2):
+        socket.send(client._frame(client._request.encode(question), time.monotonic() + ends, server))
+    until(lambda: passed() == [(2, 2)], "what holds is answered, what has ceased to hold is refused")

@@ -113,7 +113,7 @@ def test_a_flooding_client_is_named_and_muted_and_others_are_answered(net: Bifro
         assert flooder.call(question, PATIENCE).text == "flooder"
         socket = flooder._socket
         assert socket is not None
-        frame = flooder._frame(flooder._request.encode(question), time.monotonic() + PATIENCE)
+        frame = flooder._frame(flooder._request.encode(question), time.monotonic() + PATIENCE, flooder._watch.peers[-1])
         for _ in range(100):
             socket.send(frame)
         until(lambda: server.muted, "it is muted")

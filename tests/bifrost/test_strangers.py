@@ -121,7 +121,8 @@ class Party:
         self.pids = (self.net.daemon.pid, self.publisher.pid, self.server.pid)
         self.ports = [port for pid in self.pids for port in ports(pid)]
         assert len(self.ports) == len(self.pids)
-        self.settled = self.descriptors()
+        self.assert_served()  # whatever is opened once, by the first newcomer, is open then
+        self.settled = self._at_rest()
 
     def tap(self, port: int) -> Tap:
         """A proxy before one of the ports."""
@@ -143,6 +144,26 @@ class Party:
         """Of each process."""
         return [psutil.Process(pid).num_fds() for pid in self.pids]
 
+    def _at_rest(self) -> list[int]:
+        """Descriptors, once nothing comes or goes."""
+        looks: list[list[int]] = []
+
+        def still() -> bool:
+            looks.append(self.descriptors())
+            return len(looks) > 20 and all(look == looks[-1] for look in looks[-20:])
+
+        until(still, "descriptors at rest", PATIENCE)
+        return looks[-1]
+
+    def opened(self) -> str:
+        """What each process has open, for who wonders."""
+        found = []
+        for pid in self.pids:
+            process = psutil.Process(pid)
+            wires = sorted(f"{wire.laddr}-{wire.raddr} {wire.status}" for wire in process.net_connections())
+            found.append(f"{pid}: {process.num_fds()} open, of them {wires}")
+        return "\n".join(found)
+
     def memory(self) -> list[float]:
         """Of each process [MiB]."""
         return [psutil.Process(pid).memory_info().rss / 2**20 for pid in self.pids]
@@ -150,13 +171,16 @@ class Party:
     @contextlib.contextmanager
     def nothing_grows(self) -> Iterator[None]:
         """Descriptors are given back and memory is not eaten by what happens within."""
-        memory = self.memory()
+        memory, before = self.memory(), self.opened()
         yield
-        until(
-            lambda: all(now <= then for now, then in zip(self.descriptors(), self.settled, strict=True)),
-            f"descriptors are back to {self.settled}",
-            40.0,
-        )
+        try:
+            until(
+                lambda: all(now <= then for now, then in zip(self.descriptors(), self.settled, strict=True)),
+                f"descriptors are back to {self.settled}",
+                40.0,
+            )
+        except AssertionError as error:
+            raise AssertionError(f"{error}\nbefore:\n{before}\nnow:\n{self.opened()}") from None
         grown = [now - then for now, then in zip(self.memory(), memory, strict=True)]
         assert max(grown) < MEMORY, f"memory grew by {grown} MiB"
 
@@ -331,6 +355,7 @@ def test_no_port_of_a_node_or_daemon_is_without_curve(party: Party) -> None:
     latch = party.net.peer("latch", "lab/latched", "10")
     every = [*party.ports, *ports(latch.pid)]
     assert [mechanism(port) for port in every] == ["CURVE"] * len(every)
+    latch.kill()  # its connection is no stranger's: whatever test comes next, nothing has grown
 
 
 def test_an_honest_member_is_served_while_strangers_keep_coming(party: Party) -> None:

@@ -12,7 +12,13 @@ from typing import Any
 import pytest
 import rclpy
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointComponentTolerance, JointTolerance, JointTrajectoryControllerState
+from control_msgs.msg import (
+    DynamicJointState,
+    InterfaceValue,
+    JointComponentTolerance,
+    JointTolerance,
+    JointTrajectoryControllerState,
+)
 from control_msgs.srv import QueryTrajectoryState
 from controller_manager_msgs.msg import (
     ChainConnection,
@@ -80,6 +86,9 @@ FIELDS = {
     | {"multi_dof_joint_names": "sequence<string>"}
     | dict.fromkeys(("multi_dof_reference", "multi_dof_feedback", "multi_dof_error", "multi_dof_output"), MULTI)
     | {"speed_scaling_factor": "double"},
+    InterfaceValue: {"interface_names": "sequence<string>", "values": "sequence<double>"},
+    DynamicJointState: HEADER
+    | {"joint_names": "sequence<string>", "interface_values": "sequence<control_msgs/InterfaceValue>"},
     QueryTrajectoryState.Request: {"time": "builtin_interfaces/Time"},
     QueryTrajectoryState.Response: {"success": "boolean", "message": "string", "name": "sequence<string>"}
     | dict.fromkeys(("position", "velocity", "acceleration"), "sequence<double>"),

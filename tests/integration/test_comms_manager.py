@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 import bifrost
+from harness.comms_manager_alone import Newest, Watch, client_process, start
 from harness.instance import RunningInstance
 from harness.places import REPOSITORY
 from harness.servo_client import ServoClient
-from harness.waiting import PATIENCE, wait_until
+from harness.waiting import wait_until
 from valor.common.messages import (
     GroundTruth,
     JointMode,
@@ -28,19 +26,16 @@ from valor.common.messages import (
     PushRequest,
 )
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.topics import CLOCK, GROUND_TRUTH, MOTOR, PROPRIOCEPTOR, PUSH, STATISTICS, Topic
+from valor.common.topics import (
+    MOTOR,
+    PROPRIOCEPTOR,
+    PUSH,
+)
 from valor.comms_manager.simulation.clock import BACKLOG
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(REPOSITORY / "robots" / "escher")
 WEIGHT = 75.9 * 9.81
-M = TypeVar("M", bound=bifrost.Message)
-
-
-def start(instance: RunningInstance, **settings: object) -> None:
-    """A Comms Manager with some settings, up to its word that it is ready."""
-    instance.configure(**settings)
-    instance.start("comms_manager", wait=True)
 
 
 class Pusher:
@@ -52,53 +47,6 @@ class Pusher:
     def __call__(self, *impulse: float, duration: float = 0.0) -> PushReply:
         request = PushRequest(impulse_in_world=np.array(impulse, float), duration=duration)
         return self._client.call(request, timeout=10.0)
-
-
-class Newest(Generic[M]):
-    """The newest message of a topic; waits for the first one only, so that whoever drives the world is not stalled."""
-
-    def __init__(self, node: bifrost.Node, topic: Topic[M]) -> None:
-        self._subscriber = topic.subscriber(node)
-        self._newest: bifrost.Received[M] | None = None
-
-    def received(self) -> bifrost.Received[M]:
-        """With its envelope."""
-        received = self._subscriber.latest()
-        if received is None and self._newest is None:
-            received = self._subscriber.receive(timeout=PATIENCE)
-            assert received is not None, f"nothing on {self._subscriber.topic} within {PATIENCE:g} s"
-        if received is not None:
-            self._newest = received
-        assert self._newest is not None
-        return self._newest
-
-    def __call__(self) -> M:
-        return self.received().message
-
-
-class Watch:
-    """What the Comms Manager says beside Proprioceptor."""
-
-    def __init__(self, node: bifrost.Node) -> None:
-        self.clock = Newest(node, CLOCK)
-        self.statistics = Newest(node, STATISTICS["comms_manager"])
-        self.truth = Newest(node, GROUND_TRUTH)
-
-    def truth_at(self, robot_time: float, timeout: float = 300.0) -> GroundTruth:
-        """The first truth heard at or after a robot time [s], while others drive the world."""
-        wait_until(lambda: self.truth().time >= robot_time * 1e9, timeout, f"{robot_time:g} s of robot time")
-        return self.truth()
-
-
-@contextmanager
-def client_process(instance: RunningInstance) -> Iterator[subprocess.Popen[bytes]]:
-    """A ServoClient that can be stopped and killed."""
-    process = subprocess.Popen([sys.executable, "-m", "harness.servo_client"], cwd=REPOSITORY, env=instance.environment)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def upright(truth: GroundTruth) -> bool:

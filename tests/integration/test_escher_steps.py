@@ -30,7 +30,7 @@ from harness.step_system import (
 )
 from harness.waiting import wait_until
 from valor.common.poses import Pose, level
-from valor.valorctl.step_plan import FEET, PlanStep, load
+from valor.robot.step_plan import FEET, PlanStep, load
 
 S = FootstepExecutionStatus
 SUCCEEDED, ABORTED, CANCELED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -60,6 +61,14 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
     assert samples["Mode change reported"] == 3
     for pathway in ("mode change", "proprioception", "joint command"):
         assert 0.0 < numbers[f"{pathway}, hardware"] < 2000.0
+    with open(out / "pathway-latency" / "pathway_latency.csv") as file:
+        stamped = [float(row["latency_ms"]) for row in csv.DictReader(file) if row["method"] == "stamps"]
+    assert min(stamped) >= 0.0
+    costs = {row[0]: [float(value) for value in row[2:5]] for row in result["tables"][2]["rows"]}
+    assert len(costs) == 5
+    for whole, floor, less in costs.values():
+        assert floor > 0.0
+        assert less == pytest.approx(whole - floor, abs=0.02)
 
     told = system.valorctl("report", str(out)).stdout
     assert "3 of 5 experiments" in told

@@ -41,7 +41,7 @@ class ScriptedMotionManager:
     def _answer(self, request: BehaviorRequest, origin: str) -> BehaviorReply:
         assert (request.behavior, origin) == ("get_up", "valorctl")
         self._at += not self._refusal
-        return BehaviorReply(accepted=not self._refusal, behavior="fall", reason=self._refusal)
+        return BehaviorReply(accepted=not self._refusal, behavior="fall", reason=self._refusal, obstacle="")
 
     def _run(self) -> None:
         while not self._over.wait(0.02):

@@ -18,6 +18,7 @@ import pytest
 import bifrost
 from harness.instance import RunningInstance, fresh_instance
 from harness.places import ROBOTS
+from harness.system import RosClient
 from harness.waiting import wait_until
 from valor.common.arrays import FloatArray
 from valor.common.messages import FaultRequest, HdtCommand, HdtState, JointMode
@@ -184,6 +185,30 @@ class Way:
         steps = np.abs(np.diff([state.position for state in states], axis=0))
         times = np.maximum(0.01, np.diff([1e-9 * state.time for state in states]))[:, None]
         return float((steps - times * ROBOT.velocity_limit[ROBOT.group_indices("left_arm")]).max(initial=-1.0))
+
+
+def test_both_nodes_say_where_they_are_in_their_lives_and_log_to_ros(bench: Bench) -> None:
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+    from rcl_interfaces.msg import Log
+
+    from tests.integration.vrc.vrc_system import Topic, ask
+
+    ros = RosClient(bench.running.environment, joint_states=False)
+    try:
+        rosout = Topic(ros, Log, "/rosout", latched=True)
+        for name in ("hdt_driver", "hdt_bridge"):
+            state = wait_until(lambda n=name: ask(ros, GetState, f"/{n}/get_state"), PATIENCE, name)  # type: ignore[misc]
+            assert state is not None and state.current_state.label == "active"
+            pause = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+            assert not ask(ros, ChangeState, f"/{name}/change_state", transition=pause.transition).success
+            wait_until(
+                lambda n=name: [line for line in rosout.messages if line.name == n and "deactivate" in line.msg],  # type: ignore[misc]
+                PATIENCE,
+                f"{name} to say why not",
+            )
+    finally:
+        ros.close()
 
 
 def test_arms_and_hands_follow_at_the_drivers_rate(bench: Bench) -> None:

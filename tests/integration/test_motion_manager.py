@@ -88,12 +88,12 @@ def system(started: MotionSystem) -> MotionSystem:
     return started
 
 
-def test_stand_prep_answers_why_stand_is_refused(started: MotionSystem) -> None:
-    """The first in the shared system: it has just started."""
+def test_stand_prep_answers_why_stand_is_refused(system: MotionSystem) -> None:
+    assert system.request("stand_prep").accepted
     refusals = []
 
     def accepted() -> bool:
-        reply = started.request("stand")
+        reply = system.request("stand")
         if not reply.accepted:
             assert reply.behavior == Behavior.STAND_PREP
             refusals.append(reply.reason)

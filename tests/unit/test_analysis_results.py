@@ -17,8 +17,8 @@ import psutil
 import pytest
 
 from harness import analysis_bag
-from harness.places import ROBOTS
-from valor.analysis import chapters, report_html, report_markdown, report_pdf
+from harness.places import REPOSITORY, ROBOTS
+from valor.analysis import chapters, report, report_html, report_markdown, report_pdf
 from valor.analysis.bag import Bag
 from valor.analysis.errors import ResultError, SignalError
 from valor.analysis.joint_signals import JointSignals, draw, neck
@@ -253,3 +253,12 @@ def test_a_joints_signals_from_goal_to_encoder(tmp_path: Path) -> None:
     assert neck(recording, look, tmp_path / "neck.png").stat().st_size > 10_000
     with pytest.raises(BagError, match="no motion moved l_elbow_pitch"):
         JointSignals.of(recording, timeline, "l_elbow_pitch")
+
+
+def test_a_report_begins_with_ten_numbers_that_the_experiments_measure(tmp_path: Path) -> None:
+    assert len(report.SUMMARY) == 10
+    stored = (REPOSITORY / "docs" / "experiments" / "README.md").read_text()
+    assert [name for name in report.SUMMARY if stored.count(f"| {name} |") != 2] == []  # in short, and in its place
+    measures = [Measure("else", 1.0, "s"), Measure(report.SUMMARY[1], 73.3, "%", "over 150", "")]
+    short = report.summary([None, msgspec.structs.replace(result(), measures=measures)])
+    assert [tuple(row) for row in short.rows] == [(report.SUMMARY[1], "73.3", "%", "over 150")]

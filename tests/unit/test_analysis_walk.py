@@ -130,7 +130,7 @@ def truth(k: int, pose: tuple[FloatArray, FloatArray], left: bool, right: bool) 
     return GroundTruth(
         time=round(1e9 * k * PERIOD), pelvis_position_in_world=pose[0], pelvis_orientation_in_world=pose[1],
         pelvis_linear_velocity_in_world=zeros, com_in_world=zeros, contacts=np.array([left, right], dtype=np.uint8),
-        joint_position=ROBOT.nominal_posture,
+        joint_position=ROBOT.nominal_posture, fixture_position=np.zeros(0),
     )  # fmt: skip
 
 

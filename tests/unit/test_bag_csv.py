@@ -20,13 +20,13 @@ import bifrost
 from harness.examples import examples
 from harness.places import ROBOTS
 from valor.analysis.csv_export import export
-from valor.analysis.stored import StoredBag
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.bag_recorder.definitions import definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.bags.errors import BagError
+from valor.bags.stored import StoredBag
 from valor.common.messages import Motor
 from valor.robot.description import RobotDescription
+from valor.ros.definitions import definition
 from valor.valorctl.__main__ import run as main
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")

@@ -14,8 +14,9 @@ from rosbags.rosbag2 import Reader
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bags import rosbag2_metadata
 from valor.bags.errors import BagError
+from valor.bags.event import EVENT
 from valor.bags.files import is_own_folder, origin
-from valor.bags.index import EVENT, read_index
+from valor.bags.index import read_index
 from valor.common.errors import ValorError
 from valor.valorctl.bag_summary import summarize
 

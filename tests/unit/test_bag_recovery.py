@@ -16,9 +16,9 @@ from rosbags.rosbag2 import Reader
 
 from harness.examples import examples
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.bag_recorder.definitions import definition
 from valor.bags.errors import BagError
 from valor.bags.recovery import recover
+from valor.ros.definitions import definition
 
 TOPICS = [
     RecordedTopic(f"/{name}", f"std_msgs/msg/{name}", definition(f"std_msgs/msg/{name}"))

@@ -96,7 +96,8 @@ def test_stamps_of_ros_are_taken_back_by_what_the_wall_clock_has_moved(
     instance: RunningInstance, ros: Node, home: Path
 ) -> None:
     wall = WallClock()
-    tap = RosTap(instance.settings.ros_domain_id, wall, EVERYTHING)
+    node = rclpy.create_node("bag_recorder", context=ros.context)
+    tap = RosTap(node, wall, EVERYTHING)
     try:
         publisher = ros.create_publisher(String, "/said", 10)
         bag = Bag(home / "stamps.mcap")
@@ -120,7 +121,7 @@ def test_stamps_of_ros_are_taken_back_by_what_the_wall_clock_has_moved(
             bounds.append((before - drift, time.time_ns() - drift))
         bag.close()
     finally:
-        tap.close()
+        node.destroy_node()
     with open(bag.path, "rb") as file:
         messages = [message for _, channel, message in make_reader(file).iter_messages(log_time_order=False)
                     if channel.topic == "/said"]  # fmt: skip

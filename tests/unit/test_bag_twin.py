@@ -16,10 +16,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bifrost import Message, Received, codec
 from harness.examples import examples
-from valor.bag_recorder.definitions import UnknownTypeError, definition
 from valor.bag_recorder.twin import TwinEncoder, twin_type
 from valor.common.messages import Footstep, FootstepPlanRequest, Motor
 from valor.common.topics import TOPICS
+from valor.ros.definitions import UnknownTypeError, definition
 
 MESSAGES = sorted({topic.type for topic in TOPICS}, key=lambda message: message.__name__)
 ENCODERS = {message: TwinEncoder(message) for message in MESSAGES}

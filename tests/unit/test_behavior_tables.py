@@ -9,7 +9,8 @@ import pytest
 
 from harness.places import ROBOTS
 from valor.common.behaviors import INTERNAL_STATES, OPERATIONAL, Attention, Behavior, Locomotion, Manipulation
-from valor.common.errors import ConfigurationError
+from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.upper_body import UpperBody
 from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,
     BEHAVIOR_TRANSITIONS,
@@ -142,6 +143,8 @@ def regrouped(groups: dict[str, list[str]]) -> RobotDescription:
     return RobotDescription(robot.folder, msgspec.structs.replace(robot.tables, groups=robot.tables.groups | groups))
 
 
-def test_a_joint_of_no_machine_is_an_error_naming_it() -> None:
-    with pytest.raises(ConfigurationError, match=r"robot\.yaml: groups: joints \['neck_pitch'\]"):
-        joint_owners(regrouped({"neck": ["neck_yaw"], "head": ["neck_pitch"]}))
+def test_a_joint_of_another_group_has_no_machine_and_stays_where_it_is() -> None:
+    robot = regrouped({"neck": ["neck_yaw"], "tail": ["neck_pitch"]})
+    assert set(robot.joints) - set(joint_owners(robot)) == {"neck_pitch"}
+    upper_body = UpperBody(robot, JointReference(robot))
+    assert not any(joints[robot.index["neck_pitch"]] for joints in upper_body.joints.values())

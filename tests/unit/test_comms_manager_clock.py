@@ -149,3 +149,17 @@ def test_the_wall_sleeps_no_shorter_than_asked_and_has_itself_woken_at_once() ->
     assert ctypes.CDLL(None).prctl(30, 0, 0, 0, 0) == 1000, "the timer's slack (PR_GET_TIMERSLACK) [ns]"
     before = time.perf_counter()
     assert before <= wall.now() <= time.perf_counter()
+
+
+def test_after_a_pause_nothing_is_made_up_and_another_rate_holds_at_once() -> None:
+    wall = SteppedWall()
+    pacer = Pacer(1.0, wall, backlog=0.2, haste=1.25)
+    for _ in range(100):
+        pacer.pass_time(PERIOD)
+    wall.time += 30.0
+    pacer.begin_anew(0.1)
+    began = wall.time
+    for _ in range(100):
+        pacer.pass_time(PERIOD)
+    assert wall.time - began == pytest.approx(100 * PERIOD / 0.1)
+    assert pacer.slip == 0.0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 import time
+import tty
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -273,5 +276,29 @@ def test_the_late_answer_to_an_earlier_request_is_no_number(bus: Bus, port: Dyna
     bus.servos[0].feel(2100.0, 0.0, 0.0, 0.0)
     stale = encode(1, 0x55, bytes((0, 46)))
     for _ in range(10):
-        threading.Timer(0.0005, lambda: bus.port.write(stale)).start()
+        late = threading.Timer(0.0005, lambda: bus.port.write(stale))
+        late.start()
         assert port.read(1, X_SERIES.present_position) == 2100
+        late.join()
+
+
+def test_a_line_that_takes_nothing_has_servos_that_do_not_answer() -> None:
+    """As on a busy computer; once it takes something again, it is asked again."""
+    device, driver_end = os.openpty()
+    tty.setraw(driver_end)
+    os.set_blocking(driver_end, False)
+    os.set_blocking(device, False)
+    port = DynamixelPort(os.ttyname(driver_end), 3000000)
+    with pytest.raises(BlockingIOError):
+        while True:
+            os.write(driver_end, bytes(1000))
+    with pytest.raises(DynamixelError, match="servo 1: ping"):
+        port.ping(1)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.read(device, 4096)
+    with pytest.raises(DynamixelError, match="servo 1: no answer to a ping"):
+        port.ping(1)
+    port.close()
+    os.close(device)
+    os.close(driver_end)

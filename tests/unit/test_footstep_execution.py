@@ -264,7 +264,9 @@ def test_an_update_moves_the_goal(execution: Execution) -> None:
 
 def test_a_refusal_carries_the_motion_managers_own_words() -> None:
     for behavior, flag in [
-        ("stand", S.ERR_CONTROLLER_NOT_READY),
+        ("step", S.ERR_CONTROLLER_NOT_READY),
+        ("stand", S.ERR_INVALID_BEHAVIOR_MODE),
+        ("stand_manipulate", S.ERR_INVALID_BEHAVIOR_MODE),
         ("walk", S.ERR_INVALID_BEHAVIOR_MODE),
         ("soft_stop", S.ERR_INVALID_BEHAVIOR_MODE),
         ("fall", S.ERR_FALLEN | S.ERR_INVALID_BEHAVIOR_MODE),

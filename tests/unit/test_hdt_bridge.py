@@ -25,10 +25,12 @@ def same(a: Message, b: Message) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in a.__struct_fields__)
 
 
-@given(counts, counts, flags, numbers, numbers)
-def test_commands_cross_unchanged(time: int, sequence: int, mode: np.ndarray, one: np.ndarray, two: np.ndarray) -> None:
+@given(counts, counts, counts, flags, numbers, numbers)
+def test_commands_cross_unchanged(
+    time: int, sequence: int, motor: int, mode: np.ndarray, one: np.ndarray, two: np.ndarray
+) -> None:
     twin = Twin(HdtCommand, RosCommand)
-    said = HdtCommand(time, sequence, mode, one, two, one, two, one)
+    said = HdtCommand(time, sequence, motor, mode, one, two, one, two, one)
     ros = twin.to_ros(Received(said, 1, 17, "comms_manager"), Time(sec=3))
     heard = deserialize_message(serialize_message(ros), RosCommand)
     assert (heard.header.frame_id, heard.bifrost_sequence, heard.header.stamp.sec) == ("comms_manager", 17, 3)

@@ -113,7 +113,7 @@ def test_commands_reach_the_driver_with_their_origin(bridge: Bridge) -> None:
     numbers = [np.arange(7.0) + i for i in range(5)]
 
     def arrived() -> bool:
-        speaking.publish(HdtCommand(9, 4, np.ones(7, dtype=np.uint8), *numbers))
+        speaking.publish(HdtCommand(9, 4, 2, np.ones(7, dtype=np.uint8), *numbers))
         executor.spin_once(timeout_sec=0.05)
         return bool(heard)
 

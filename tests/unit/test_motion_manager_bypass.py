@@ -8,7 +8,7 @@ import pytest
 from bifrost import Received
 from harness.still_robot import ROBOT, Robot
 from valor.common.behaviors import Behavior
-from valor.common.messages import BalanceWeights, HandGoal, JointGains, JointSetpoints
+from valor.common.messages import BalanceWeights, HandGoal, HandGoalStatus, JointGains, JointSetpoints
 from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.handlers.tuning import BalanceWeightsHandler, JointGainsHandler
@@ -53,8 +53,21 @@ def lead(robot: Robot, message: HandGoal, origin: str = "somebody") -> bool:
     return HandGoalHandler.of(robot.manager.parts).handle(Received(message, 0, 1, origin), robot.time)
 
 
+def follow(robot: Robot, *, but: int | None = None) -> None:
+    """A period, after which every joint is where Motor wants it; but one stays."""
+    assert robot.motor is not None
+    position = robot.motor.position.copy()
+    if but is not None:
+        position[but] = ROBOT.nominal_posture[but]
+    robot.tick(joint_position=position)
+
+
 def refusal(robot: Robot) -> str:
-    return robot.manager.rejections.take()[-1].reason
+    """Why the last one was refused; the next is told, too, however little of the wall's time passes until then."""
+    rejections = robot.manager.rejections
+    reason = rejections.take()[-1].reason
+    rejections._published.clear()
+    return reason
 
 
 def test_a_hand_goes_to_its_goal_and_says_so(robot: Robot) -> None:
@@ -66,7 +79,7 @@ def test_a_hand_goes_to_its_goal_and_says_so(robot: Robot) -> None:
     assert manager.report(0.0).left_arm == "setpoints"
     set_points = []
     for _ in range(round(6.0 / ROBOT.control_period)):
-        robot.tick()
+        follow(robot)
         set_points.append(manager.parts.reference.position.copy())
         if manager.parts.hand_goals.status(1, 0).state == "reached":
             break
@@ -81,13 +94,39 @@ def test_a_hand_goes_to_its_goal_and_says_so(robot: Robot) -> None:
 def test_a_goal_out_of_reach_is_approached_and_stated(robot: Robot) -> None:
     assert lead(robot, goal(robot, np.array((2.0, -0.3, 0.2))))
     for _ in range(round(12.0 / ROBOT.control_period)):
-        robot.tick()
+        follow(robot)
         if robot.manager.parts.hand_goals.status(1, 0).state == "out_of_reach":
             break
     status = robot.manager.parts.hand_goals.status(1, 0)
     assert status.state == "out_of_reach"
     assert status.position_error > 0.5
     assert "the right hand gets no nearer" in status.reason
+
+
+def led_with_a_jammed_wrist(robot: Robot, yaw: float) -> tuple[HandGoalStatus, float]:
+    """How a hand ends that is to be turned about z [rad], and the largest difference of the wrist's angle [rad]."""
+    turned = np.array((np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)))
+    assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2)), orientation=turned))
+    wrist, goals = ROBOT.index["r_wrist_yaw"], robot.manager.parts.hand_goals
+    for _ in range(round(20.0 / ROBOT.control_period)):
+        follow(robot, but=wrist)
+        if goals.status(1, 0).state != "moving":
+            break
+    return goals.status(1, 0), abs(robot.manager.parts.reference.position[wrist] - ROBOT.nominal_posture[wrist])
+
+
+def test_what_a_joint_that_does_not_turn_leaves_is_told_with_its_name(robot: Robot) -> None:
+    status, _ = led_with_a_jammed_wrist(robot, 1.5)
+    assert status.state == "out_of_reach", status
+    assert "does not follow: r_wrist_yaw" in status.reason
+    assert f"{status.position_error:.3f} m and {status.orientation_error:.3f} rad remain" in status.reason
+    assert status.position_error > 0.005 or status.orientation_error > 0.02
+
+
+def test_the_other_joints_make_up_for_one_that_does_not_turn(robot: Robot) -> None:
+    status, off = led_with_a_jammed_wrist(robot, 0.5)
+    assert status.state == "reached", status
+    assert off < 0.06
 
 
 def test_the_arm_has_one_leader(robot: Robot) -> None:

@@ -9,7 +9,7 @@ import pytest
 from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError
-from valor.valorctl import step_plan
+from valor.robot import step_plan
 
 PLANS = REPOSITORY / "examples" / "plans"
 

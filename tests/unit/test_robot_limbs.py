@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -14,19 +15,19 @@ from harness.limbs import cut, turned
 from harness.places import ROBOTS
 from harness.vrc_in_process import Commander, Network
 from valor.common.behaviors import NOTHING_TO_LEAD, Behavior
-from valor.common.errors import RefusalError, ValorError
+from valor.common.errors import ConfigurationError, RefusalError, ValorError
 from valor.common.messages import HandGoal
 from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.manager import MotionManager
 from valor.motion_manager.states.behavior_fsm import GUARDS
 from valor.planning.sides import Sides
 from valor.robot.description import RobotDescription
-from valor.robot.legs import knees
+from valor.robot.legs import knee, knees
 from valor.robot.model import controller_model, full_model
+from valor.robot.model_tree import read
 from valor.simulation.sensors import Sensors
 from valor.valor_ros_controller.controllers.mode_requests import ModeRefusedError, admit
 from valor.valor_ros_controller.core import Core
-from valor.valor_ros_controller.model_tree import read
 from valor.valorctl import arm_motion
 from valor.valorctl.robot_check import examine
 from valor.whole_body.walking.velocity_steps import VelocitySteps
@@ -110,7 +111,7 @@ def test_where_nothing_can_be_led_nobody_manipulates(legs: RobotDescription) -> 
     assert modes == ["stand_manipulate", "manipulate", "step_manipulate", "walk_manipulate"]
     for mode in modes:
         with pytest.raises(ModeRefusedError, match=NOTHING_TO_LEAD):
-            admit(made.modes, mode, "stand", "")
+            admit(made.modes, mode, "stand", "stand", "")
     guarded = [edge for edge, guards in GUARDS.items() if edge[1].manipulating]
     assert [there for _, there in guarded] == [behavior for behavior in Behavior if behavior.manipulating]
 
@@ -139,6 +140,21 @@ def test_a_preset_of_a_limb_that_is_not_there_is_refused(one_armed: RobotDescrip
     with pytest.raises(ValorError, match="escher has no left arm"):
         arm_motion.preset(one_armed, "left", "arm", "home")
     assert arm_motion.preset(one_armed, "right", "arm", "home")
+
+
+@pytest.mark.parametrize("axis", ["0 1 0", "0 -1 0"])
+def test_a_knee_that_bends_both_ways_takes_the_shank_back(axis: str) -> None:
+    mj = mujoco.MjModel.from_xml_string(_LEG.format(axis=axis))
+    leg = dict.fromkeys(("hip", "knee", "ankle"), (-2.0, 2.0))
+    assert knee(mj, mujoco.MjData(mj), leg) == ("knee", 1.0 if axis == "0 1 0" else -1.0)
+    with pytest.raises(ConfigurationError, match="no joint bends the leg; expected a knee"):
+        knee(mj, mujoco.MjData(mj), leg | {"knee": (0.0, 0.1)})
+
+
+_LEG = """<mujoco><worldbody><body name="thigh"><joint name="hip" axis="0 1 0"/><geom size="0.01"/>
+  <body pos="0 0 -0.4"><joint name="knee" axis="{axis}"/><geom size="0.01"/>
+    <body pos="0 0 -0.4"><joint name="ankle" axis="0 1 0"/><geom size="0.01"/></body>
+  </body></body></worldbody></mujoco>"""
 
 
 @pytest.mark.parametrize("turned_ones", [(), ("l_knee_pitch",), ("l_knee_pitch", "r_knee_pitch")])

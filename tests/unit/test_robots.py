@@ -7,14 +7,13 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
+from valor.robot.checks import Stance
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model, full_model
+from valor.robot.symmetry import asymmetries
 from valor.robot.tables import WHOLE_BODY_GROUPS
 
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}
@@ -85,22 +84,13 @@ def test_both_sides_have_the_same_drives_and_mirrored_limits(robot: RobotDescrip
             assert (twin.lower, twin.upper) in (expected, (joint.lower, joint.upper)), name
 
 
-@every_full_model
-@given(seed=st.integers(0, 2**32 - 1))
-@examples(30)
-def test_left_and_right_are_mirror_images(model: Model, seed: int) -> None:
-    """A posture and its mirror image put every body, and the CoM, at mirrored places: geometry, masses, axes agree."""
-    rng = np.random.default_rng(seed)
-    angles = {name: rng.uniform(-1, 1) for name in model.robot.joints}
-    mirrored = {other_side(name): -angle if name.endswith(LATERAL) else angle for name, angle in angles.items()}
-    one, other = forward(model, configuration(model, **angles)), forward(model, configuration(model, **mirrored))
-    flip = np.array([1, -1, 1])
-    for i in range(1, model.mj.nbody):
-        name = model.mj.body(i).name
-        twin = model.body(other_side(name))
-        np.testing.assert_allclose(one.xipos[i], other.xipos[twin] * flip, atol=1e-9, err_msg=name)
-        assert model.mj.body_mass[i] == model.mj.body_mass[twin]
-        np.testing.assert_array_equal(model.mj.body_inertia[i], model.mj.body_inertia[twin])
+@every_robot
+def test_left_and_right_are_mirror_images(robot: RobotDescription) -> None:
+    """In mirrored postures every joint, and what hangs from it, is at a mirrored place: geometry, masses, axes agree.
+
+    As well as `valorctl robot check` tells no difference: half a percent of the leg, one of the mass.
+    """
+    assert list(asymmetries(Stance(robot))) == []
 
 
 @every_full_model

@@ -14,12 +14,11 @@ from harness.places import REPOSITORY, ROBOTS
 
 FOLDERS = ("bifrost", "examples", "harness", "services", "valor")
 NAMED = {
-    "services/valor_ros_controller/ros/controller_bypass.py": "ROS topics that Team ViGIR called so",
-    "services/valor_ros_controller/ros/motion_state_publisher.py": "ROS topics that Team ViGIR called so",
-    "services/valor_ros_controller/ros/publisher.py": "ROS topics that Team ViGIR called so",
+    "valor/ros/limbs.py": "ROS topics that Team ViGIR called so",
     "examples/stand_and_reach.py": "a client that knows no robot.yaml guesses by usual names, and can be told",
     "harness/analysis_bag.py": "a recording of ESCHER",
     "harness/pathway_bag.py": "a recording of ESCHER",
+    "harness/station_bag.py": "a recording of ESCHER",
     "harness/motion_system.py": "a set-point of ESCHER's that is to be refused",
 }
 """Files that may, and why."""

@@ -33,6 +33,7 @@ def test_the_experiments_are_listed(monkeypatch: pytest.MonkeyPatch, capsys: pyt
             ("experiment", "walking"),
             "experiment 'walking': expected one of process-stats, ipc-latency",
         ),
+        (("experiment", "tracking", "--beside"), "experiment tracking: --beside is of process-stats"),
         (("report", "nowhere"), "no results of experiments"),
     ],
 )

@@ -16,12 +16,12 @@ from typer.testing import CliRunner
 
 from bifrost import cli
 from harness.places import ROBOTS
+from valor.common import mode_names
 from valor.common.instance import Instance, Settings
 from valor.common.resources import profiles, robots
 from valor.simulation.world_names import WORLD_NAMES
 from valor.simulation.worlds import WORLDS
 from valor.valor_ros_controller.control_modes import ControlModeTable
-from valor.valorctl import mode_names
 from valor.valorctl.app import MOUNTED, app
 
 VALORCTL = Path(sys.executable).with_name("valorctl")

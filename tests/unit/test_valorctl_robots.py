@@ -209,8 +209,8 @@ def test_what_nothing_drives_is_asked(tmp_path: Path) -> None:
     assert "neck_yaw" in questions[0].text
     assert questions[0].guess == "weld"
     file = tmp_path / "a.xml"
-    assert len(skeleton(Source(file)).passive) == 1
-    assert skeleton(Source(file), lambda question: "servo").passive == []
+    assert list(skeleton(Source(file)).passive.hinges.values()) == [False]
+    assert skeleton(Source(file), lambda question: "servo").passive.hinges == {}
 
 
 def driven() -> list[str]:

@@ -15,7 +15,7 @@ from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.processes import BY_NAME, DAEMON, EXIT_CONFIGURATION, PROCESSES, Process
+from valor.common.processes import DAEMON, EXIT_CONFIGURATION, PROCESSES, Process
 from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup, supervisor_config
 from valor.valorctl.instance_setup import Request
@@ -109,15 +109,16 @@ def test_processes_for_devices_that_the_robot_does_not_have_are_left_out() -> No
 
 def test_the_profiles_that_come_with_us_are_valid() -> None:
     files = sorted((Path(resources.profile_file("sim"))).parent.glob("*.yaml"))
-    assert [file.stem for file in files] == ["bifrost", "hardware", "sim"]
-    daemon, hardware, simulation = (Profile.load(file) for file in files)
+    assert [file.stem for file in files] == ["bifrost", "hardware", "motion_system", "sim"]
+    daemon, hardware, motion_system, simulation = (Profile.load(file) for file in files)
     assert hardware.initial_mode == simulation.initial_mode == "stand"
-    assert [p.name for p in hardware.table] == list(BY_NAME)
+    assert [p.name for p in hardware.table] == [p.name for p in PROCESSES if not p.option]
     assert {p.name for p in hardware.table} - {p.name for p in simulation.table} == {
         "device_emulators", "hdt_driver", "hdt_bridge",
     }  # fmt: skip
     assert (hardware.variant, simulation.variant) == ("hardware", "simulation")
-    assert daemon.initial_mode is None
+    assert [p.name for p in motion_system.table] == ["bifrostd", "comms_manager", "motion_manager"]
+    assert daemon.initial_mode is motion_system.initial_mode is None
     assert [p.name for p in daemon.table] == ["bifrostd"]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from vigir_footstep_planning_msgs.msg import Step, StepPlan
 
 from harness.places import REPOSITORY, ROBOTS
@@ -16,9 +17,10 @@ from valor.common.poses import Pose, level, middle
 from valor.footstep_converter.plan import convert
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import StepRule
+from valor.robot.motion_tables import Footsteps
+from valor.robot.step_plan import FEET, PlanStep, load
+from valor.robot.step_planner import plan_to
 from valor.valorctl import step_picture
-from valor.valorctl.step_plan import FEET, PlanStep, load
-from valor.valorctl.step_planner import plan_to
 from valor.valorctl.stepping import intention
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -29,12 +31,12 @@ PLANS = sorted((REPOSITORY / "examples" / "plans").glob("*.yaml"))
 HALF = 0.5 * ROBOT.tables.walking.step_width
 
 
-def message(steps: list[PlanStep]) -> StepPlan:
+def message(steps: list[PlanStep], width: float = 2 * HALF) -> StepPlan:
     """The plan for a robot whose feet stand side by side around odom's origin."""
     plan = StepPlan()
     plan.header.frame_id = plan.start.header.frame_id = "odom"
     plan.start.right.foot_index = 1
-    plan.start.left.pose.position.y, plan.start.right.pose.position.y = HALF, -HALF
+    plan.start.left.pose.position.y, plan.start.right.pose.position.y = width / 2, -width / 2
     for index, each in enumerate(steps):
         step = Step(step_index=index, valid=True, swing_height=each.swing_height)
         step.step_duration, step.sway_duration = each.step_duration, each.sway_duration
@@ -57,13 +59,19 @@ def test_there_are_ten_examples() -> None:
 
 
 coordinates = st.floats(-2.0, 2.0)
+SHORT = (replace(TABLE, max_forward=0.36, max_backward=0.18, max_width=0.36, max_distance=0.252), 0.2126)
+"""Of a robot on short legs that stands wide, and the width of its steps [m]."""
 
 
+@pytest.mark.parametrize(("limits", "width"), [(TABLE, 2 * HALF), SHORT], ids=["escher", "short legs"])
 @example(x=0.0, y=0.25, yaw=-3.0)  # to the left while turning to the right
+@example(x=0.604, y=0.0, yaw=0.0)
 @given(coordinates, coordinates, st.floats(-math.pi, math.pi))
-def test_the_planner_ends_exactly_at_its_goal_within_the_limits(x: float, y: float, yaw: float) -> None:
+def test_the_planner_ends_exactly_at_its_goal_within_the_limits(
+    limits: Footsteps, width: float, x: float, y: float, yaw: float
+) -> None:
     try:
-        steps = plan_to((x, y, yaw), TABLE, ROBOT.tables.walking)
+        steps = plan_to((x, y, yaw), limits, replace(ROBOT.tables.walking, step_width=width))
     except ValorError as error:
         assert "a plan has at most 50" in str(error)
         assert math.hypot(x, y) > 0.5
@@ -71,12 +79,12 @@ def test_the_planner_ends_exactly_at_its_goal_within_the_limits(x: float, y: flo
     if not steps:
         assert math.hypot(x, y) < 1e-6
         return
-    taken = convert(message(steps), StepRule(TABLE, ROBOT.tables.feet))
+    taken = convert(message(steps, width), StepRule(limits, ROBOT.tables.feet))
     feet = {step.foot: step.sole for step in taken[-2:]}
     end = middle(feet[0], feet[1])
     assert math.dist(end.position, (x, y, 0.0)) < 1e-9
     assert abs(math.remainder(end.yaw - yaw, math.tau)) < 1e-9
-    assert math.dist(feet[0].position, feet[1].position) == pytest.approx(2 * HALF)
+    assert math.dist(feet[0].position, feet[1].position) == pytest.approx(width)
 
 
 @pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (1e300, 0.0, 0.0), (50.0, 0.0, 0.0)])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from valor.common.stopping import HALT, LOCK, Goal
 from valor.valorctl.plain_command import plain_command
-from valor.valorctl.stopping import HALT, LOCK, Goal, command_line
+from valor.valorctl.stopping import command_line
 
 
 @pytest.mark.parametrize(

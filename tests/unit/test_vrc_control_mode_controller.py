@@ -16,7 +16,9 @@ from valor.common.messages import ModeStatus
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions, Verdict
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.behavior_transition import (
+    AGAIN,
     REPORT_TIMEOUT,
+    WAIT,
     BehaviorAnswer,
     BehaviorTransition,
     TransitionState,
@@ -44,6 +46,7 @@ class Plant:
         self.asked: list[str] = []
         self.now = 0.0
         self.against = ""  # what the Motion System has against any request
+        self.conditions = Conditions()  # and against some
         self._transition: BehaviorTransition | None = None
         self._number = 1
         self._answer: BehaviorAnswer | None = None
@@ -76,8 +79,10 @@ class Plant:
                     if self.against:
                         verdict = Verdict(False, self.against)
                     else:
-                        verdict = self.fsm.request(Behavior(command[1]), Conditions(), "test")
-                    self._answer = BehaviorAnswer(command[0], verdict.accepted, verdict.reason)
+                        verdict = self.fsm.request(Behavior(command[1]), self.conditions, "test")
+                    self._answer = BehaviorAnswer(
+                        command[0], verdict.accepted, verdict.reason, obstacle=verdict.obstacle
+                    )
             self.controller.update(self._hw)
 
     def ask(self, mode: str, cycles: int = 12) -> ModeReport:
@@ -90,24 +95,24 @@ class Plant:
 
 
 @pytest.fixture
-def plant():
+def plant() -> Plant:
     made = Plant()
     made.cycle()
     return made
 
 
-def test_at_start_the_mode_is_found_and_reported_as_external(plant):
+def test_at_start_the_mode_is_found_and_reported_as_external(plant: Plant) -> None:
     assert plant.controller.report == ModeReport("", "stand_prep", S.EXTERNAL_CHANGE)
     assert plant.controller.active_mode == "stand_prep"
 
 
-def test_a_mode_is_reached_by_two_commands(plant):
+def test_a_mode_is_reached_by_two_commands(plant: Plant) -> None:
     assert plant.ask("stand") == ModeReport("stand", "stand", S.MODE_ACCEPTED)
     assert plant.ask("Stand_Manipulate") == ModeReport("stand_manipulate", "stand_manipulate", S.MODE_ACCEPTED)
     assert plant.asked == ["stand", "stand", "stand", "stand_manipulate"]
 
 
-def test_a_repeat_is_a_duplicate_and_sends_nothing(plant):
+def test_a_repeat_is_a_duplicate_and_sends_nothing(plant: Plant) -> None:
     plant.ask("stand")
     asked = list(plant.asked)
     assert plant.ask("stand") == ModeReport("stand", "stand", S.MODE_ACCEPTED | S.MODE_DUPLICATE)
@@ -115,38 +120,94 @@ def test_a_repeat_is_a_duplicate_and_sends_nothing(plant):
 
 
 @pytest.mark.parametrize("name", ["whole_body", "dance", "calibrate", "manipulate_gravity", "", "stand prep", "idle"])
-def test_dropped_and_unknown_modes_are_invalid(plant, name):
+def test_dropped_and_unknown_modes_are_invalid(plant: Plant, name: str) -> None:
     result = plant.ask(name)
     assert result.status == S.MODE_REJECTED | S.ERR_INVALID_BEHAVIOR_MODE
     assert result.current == "stand_prep" and not plant.asked
 
 
-def test_a_transition_that_the_table_lacks_is_invalid_and_sends_nothing(plant):
+def test_a_transition_that_the_table_lacks_is_invalid_and_sends_nothing(plant: Plant) -> None:
     result = plant.ask("walk")
     assert result == ModeReport("walk", "stand_prep", S.MODE_REJECTED | S.ERR_INVALID_TRANSITION)
-    assert not plant.asked and "from there" in plant.controller.last_refusal
+    assert not plant.asked and "from there" in plant.controller.refusals.last
 
 
-def test_a_flood_of_refusals_is_counted_and_told_once(plant, caplog):
+def test_a_flood_of_refusals_is_counted_and_told_once(plant: Plant, caplog: pytest.LogCaptureFixture) -> None:
     for mode in ["dance"] * 50 + ["walk"]:
         plant.ask(mode, cycles=1)
-    assert plant.controller.rejected == 51
+    assert plant.controller.refusals.count == 51
     assert [record.getMessage().split()[2] for record in caplog.records if "refused" in record.getMessage()] == [
         "dance",
         "walk",
     ]
 
 
-def test_a_refusal_leaves_the_actual_mode_and_carries_the_reason(plant):
+def test_what_passes_by_itself_is_waited_for_and_not_refused(plant: Plant) -> None:
+    """A client that asks for stand as soon as it is told of stand_prep gets it; stop, then freeze behind a step."""
+    for mode, condition, behavior in (("stand", "not_prepared", "stand"), ("freeze", "stepping", "freeze")):
+        plant.conditions = Conditions(**{condition: "2 s to go"})
+        client = ModeClient(mode)
+        plant.controller.request(mode, client)
+        plant.cycle(200)
+        assert client.result is None and client.seen[-1].status == S.MODE_PROCESSING
+        assert len(plant.asked) < 200 * 0.004 / AGAIN + 4, "asked for without pause"
+        other = plant.ask("stand_manipulate", cycles=3)
+        assert other.status == S.MODE_REJECTED | S.ERR_PRIOR_COMMAND_IN_PROGRESS
+        assert f"the change to {mode} is under way" in plant.controller.refusals.last
+        assert "meanwhile: " in plant.controller.refusals.last
+        plant.conditions = Conditions()
+        plant.cycle(60)
+        assert client.report == ModeReport(mode, mode, S.MODE_ACCEPTED) and plant.fsm.behavior == behavior
+        plant.asked.clear()
+
+
+def test_what_never_passes_is_refused_in_the_end_and_says_how_long_it_was_waited_for(plant: Plant) -> None:
+    plant.conditions = Conditions(not_prepared="stand_prep has not settled: joint 'l_elbow' moves")
+    result = plant.ask("stand", cycles=round((WAIT + 2.0) / 0.004))
+    assert result == ModeReport("stand", "stand_prep", S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY)
+    assert f"has not settled: joint 'l_elbow' moves, for which {WAIT:g} s were waited" in plant.controller.refusals.last
+
+
+def test_what_the_robot_is_not_fit_for_is_refused_at_once_with_the_reason(plant: Plant) -> None:
+    plant.conditions = Conditions(not_loaded="the left foot carries 0 N")
+    result = plant.ask("stand")
+    assert result == ModeReport("stand", "stand_prep", S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY)
+    assert "the left foot carries 0 N" in plant.controller.refusals.news()[-1].reason
+
+
+def test_from_stop_the_modes_may_follow_that_may_follow_what_the_robot_does(plant: Plant) -> None:
+    plant.ask("stand")
+    plant.ask("walk")
+    assert plant.ask("stop") == ModeReport("stop", "stop", S.MODE_ACCEPTED)
+    asked = list(plant.asked)
+    result = plant.ask("freeze")
+    assert result == ModeReport("freeze", "stop", S.MODE_REJECTED | S.ERR_INVALID_TRANSITION)
+    assert "not allowed from stop in behavior walk; from there: soft_stop, stand, stand_manipulate" in (
+        plant.controller.refusals.last
+    )
+    assert plant.asked == asked
+    assert plant.ask("stand").status == S.MODE_ACCEPTED
+    plant.ask("stop")
+    assert plant.ask("freeze") == ModeReport("freeze", "freeze", S.MODE_ACCEPTED)
+
+
+def test_a_name_of_any_length_is_repeated_in_part(plant: Plant) -> None:
+    result = plant.ask("x" * 200_000)
+    assert result.status == S.MODE_REJECTED | S.ERR_INVALID_BEHAVIOR_MODE
+    assert len(result.requested) == len(plant.controller.report.requested) == 65
+    assert len(plant.controller.refusals.last) < 1000
+
+
+def test_a_refusal_leaves_the_actual_mode_and_carries_the_reason(plant: Plant) -> None:
     plant.ask("stand")
     plant.against = "walking is not available"
     result = plant.ask("walk_manipulate")
-    assert result == ModeReport("walk_manipulate", "stand", S.MODE_REJECTED)
-    assert "walking is not available" in plant.controller.last_refusal
+    assert result == ModeReport("walk_manipulate", "stand", S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY)
+    assert "walking is not available" in plant.controller.refusals.last
     assert plant.controller.active_mode == "stand"
 
 
-def test_manipulate_and_stand_manipulate_are_one_behavior_and_the_mode_is_remembered(plant):
+def test_manipulate_and_stand_manipulate_are_one_behavior_and_the_mode_is_remembered(plant: Plant) -> None:
     plant.ask("stand_manipulate")
     asked = len(plant.asked)
     assert plant.ask("manipulate").current == "manipulate"
@@ -155,14 +216,14 @@ def test_manipulate_and_stand_manipulate_are_one_behavior_and_the_mode_is_rememb
     assert plant.controller.current == "manipulate"
 
 
-def test_feedback_says_processing(plant):
+def test_feedback_says_processing(plant: Plant) -> None:
     client = ModeClient()
     plant.controller.request("stand", client)
     plant.cycle(12)
     assert client.seen == [ModeReport("stand", "stand_prep", S.MODE_PROCESSING)]
 
 
-def test_a_second_request_meanwhile_is_refused_but_a_soft_stop_preempts(plant):
+def test_a_second_request_meanwhile_is_refused_but_a_soft_stop_preempts(plant: Plant) -> None:
     plant.ask("stand")
     plant.deaf = True
     first, second, third = ModeClient(), ModeClient(), ModeClient()
@@ -179,7 +240,7 @@ def test_a_second_request_meanwhile_is_refused_but_a_soft_stop_preempts(plant):
 
 
 @pytest.mark.parametrize("mode", ["stand", "stand_manipulate", "step", "step_manipulate", "walk", "walk_manipulate"])
-def test_a_fall_is_reported_in_the_cycle_that_hears_of_it(plant, mode):
+def test_a_fall_is_reported_in_the_cycle_that_hears_of_it(plant: Plant, mode: str) -> None:
     plant.ask("stand")
     if mode != "stand":
         plant.ask(mode)
@@ -190,7 +251,7 @@ def test_a_fall_is_reported_in_the_cycle_that_hears_of_it(plant, mode):
     assert plant.controller.active_mode == "none" and plant.controller.hard_resets == resets + 1
 
 
-def test_a_fall_during_a_change_ends_the_change(plant):
+def test_a_fall_during_a_change_ends_the_change(plant: Plant) -> None:
     plant.ask("stand")
     plant.deaf = True
     client = ModeClient()
@@ -202,7 +263,7 @@ def test_a_fall_during_a_change_ends_the_change(plant):
 
 
 @pytest.mark.parametrize("mode", ["step_manipulate", "walk_manipulate"])
-def test_when_a_plan_is_done_the_arms_are_asked_for_again(plant, mode):
+def test_when_a_plan_is_done_the_arms_are_asked_for_again(plant: Plant, mode: str) -> None:
     plant.ask("stand")
     plant.ask(mode)
     reports: list[Any] = []
@@ -217,7 +278,7 @@ def test_when_a_plan_is_done_the_arms_are_asked_for_again(plant, mode):
     assert plant.fsm.behavior is Behavior.STAND_MANIPULATE
 
 
-def test_another_commander_who_asks_for_stand_gets_it(plant):
+def test_another_commander_who_asks_for_stand_gets_it(plant: Plant) -> None:
     plant.ask("stand")
     plant.ask("walk_manipulate")
     plant.fsm.request(Behavior.STAND, Conditions(), "somebody")
@@ -226,7 +287,7 @@ def test_another_commander_who_asks_for_stand_gets_it(plant):
     assert plant.fsm.behavior is Behavior.STAND
 
 
-def test_a_step_without_arms_just_returns_to_stand(plant):
+def test_a_step_without_arms_just_returns_to_stand(plant: Plant) -> None:
     plant.ask("stand")
     plant.ask("step")
     plant.fsm.go(Behavior.STAND, "plan done")
@@ -234,7 +295,7 @@ def test_a_step_without_arms_just_returns_to_stand(plant):
     assert plant.controller.report == ModeReport("step", "stand", S.EXTERNAL_CHANGE)
 
 
-def test_silence_and_return(plant):
+def test_silence_and_return(plant: Plant) -> None:
     plant.ask("stand_manipulate")
     client, late = ModeClient(), ModeClient()
     plant.deaf = True
@@ -247,14 +308,14 @@ def test_silence_and_return(plant):
     plant.controller.request("stand", late)
     plant.cycle(report=False)
     assert late.report.status == S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY
-    assert "motion_manager is silent" in plant.controller.last_refusal
+    assert "motion_manager is silent" in plant.controller.refusals.last
     plant.deaf = False
     plant.cycle()
     assert plant.controller.report.current == "stand_manipulate"
     assert plant.controller.report.status == S.EXTERNAL_CHANGE
 
 
-def test_a_behavior_that_is_accepted_but_never_reported_times_out(plant):
+def test_a_behavior_that_is_accepted_but_never_reported_times_out(plant: Plant) -> None:
     transition = BehaviorTransition(("stand", "stand"), 7, "stand_prep")
     assert transition.update(0.0, "stand_prep", "", None) == (7, "stand")
     assert transition.update(0.1, "stand_prep", "", BehaviorAnswer(6, False, "of another transition")) is None
@@ -269,7 +330,7 @@ def test_a_behavior_that_is_accepted_but_never_reported_times_out(plant):
     ("mode", "stop"),
     [("stand_prep", "freeze"), ("stand", "soft_stop"), ("walk", "soft_stop"), ("step_manipulate", "soft_stop")],
 )
-def test_emergency_stop_keeps_the_balance_where_there_is_one(plant, mode, stop):
+def test_emergency_stop_keeps_the_balance_where_there_is_one(plant: Plant, mode: str, stop: str) -> None:
     if mode != "stand_prep":
         plant.ask("stand")
         plant.ask(mode)
@@ -277,7 +338,7 @@ def test_emergency_stop_keeps_the_balance_where_there_is_one(plant, mode, stop):
     assert result == ModeReport(stop, stop, S.MODE_ACCEPTED)
 
 
-def test_stop_resets_the_controllers_and_leaves_the_behavior(plant):
+def test_stop_resets_the_controllers_and_leaves_the_behavior(plant: Plant) -> None:
     plant.ask("stand_manipulate")
     asked, resets = list(plant.asked), plant.controller.hard_resets
     assert plant.ask("stop") == ModeReport("stop", "stop", S.MODE_ACCEPTED)
@@ -296,7 +357,7 @@ events = st.one_of(
 
 @examples(100)
 @given(st.lists(events, max_size=20))
-def test_whatever_happens_every_client_is_answered_once_and_the_mode_is_true(sequence):
+def test_whatever_happens_every_client_is_answered_once_and_the_mode_is_true(sequence: list[Any]) -> None:
     plant = Plant()
     plant.cycle()
     clients = []

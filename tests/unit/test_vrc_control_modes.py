@@ -1,5 +1,8 @@
 """The table of control modes agrees with ViGIR's messages, with the Motion System and with the documentation."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 import yaml
 
@@ -29,16 +32,16 @@ def reachable(start: str, command: str) -> bool:
     return start == command or Behavior(command) in BEHAVIOR_TRANSITIONS[Behavior(start)]
 
 
-def test_modes_and_bdi_columns_are_vigirs():
+def test_modes_and_bdi_columns_are_vigirs() -> None:
     assert {name: (mode.bdi, mode.upper_body) for name, mode in TABLE.modes.items()} == BDI
 
 
-def test_behaviors_are_those_of_the_motion_system():
+def test_behaviors_are_those_of_the_motion_system() -> None:
     assert set(TABLE.behaviors) == {behavior.value for behavior in Behavior}
 
 
 @pytest.mark.parametrize("name", TABLE.modes)
-def test_two_commands_lead_from_every_mode_to_each_that_may_follow(name):
+def test_two_commands_lead_from_every_mode_to_each_that_may_follow(name: str) -> None:
     mode = TABLE.modes[name]
     for follower in mode.to:
         pair = TABLE.modes[follower].motion
@@ -57,7 +60,7 @@ def test_two_commands_lead_from_every_mode_to_each_that_may_follow(name):
         assert reachable(*pair), follower
 
 
-def test_the_second_command_is_the_base_or_its_manipulation_variant():
+def test_the_second_command_is_the_base_or_its_manipulation_variant() -> None:
     for name, mode in TABLE.modes.items():
         if mode.motion:
             base, variant = mode.motion
@@ -68,7 +71,7 @@ def test_the_second_command_is_the_base_or_its_manipulation_variant():
                 assert variant != base, name
 
 
-def test_controllers_of_a_mode_are_accepted_by_its_behavior():
+def test_controllers_of_a_mode_are_accepted_by_its_behavior() -> None:
     for name, mode in TABLE.modes.items():
         if mode.motion is None:
             continue
@@ -86,13 +89,13 @@ def test_controllers_of_a_mode_are_accepted_by_its_behavior():
             assert all(states[machine] == state for machine, state in config.accepted_when.items()), name
 
 
-def test_a_reported_behavior_has_a_mode_that_stands_for_it():
+def test_a_reported_behavior_has_a_mode_that_stands_for_it() -> None:
     for behavior, mode in TABLE.behaviors.items():
         assert TABLE.fits(mode, behavior)
     assert TABLE.behaviors["fall"] == "none"
 
 
-def test_an_emergency_stop_is_possible_in_every_mode_but_after_a_stop_of_its_own():
+def test_an_emergency_stop_is_possible_in_every_mode_but_after_a_stop_of_its_own() -> None:
     for name, mode in TABLE.modes.items():
         choices = [stop for stop in TABLE.emergency_stop if stop == name or stop in mode.to]
         assert choices, name
@@ -100,7 +103,7 @@ def test_an_emergency_stop_is_possible_in_every_mode_but_after_a_stop_of_its_own
         assert not walks or choices[0] == "soft_stop", "a robot that locks its joints in single support topples"
 
 
-def test_flags_and_codes_are_those_of_the_messages():
+def test_flags_and_codes_are_those_of_the_messages() -> None:
     from control_msgs.action import FollowJointTrajectory
     from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
@@ -112,7 +115,7 @@ def test_flags_and_codes_are_those_of_the_messages():
 
 
 @pytest.mark.parametrize("robot", [path.parent.name for path in (REPOSITORY / "robots").glob("*/robot.yaml")])
-def test_controllers_find_their_joints_in_every_robot(robot):
+def test_controllers_find_their_joints_in_every_robot(robot: str) -> None:
     description = RobotDescription.load(REPOSITORY / "robots" / robot)
     hw = ValorEscherHWInterface(description)
     for name, config in (
@@ -131,7 +134,7 @@ def test_controllers_find_their_joints_in_every_robot(robot):
         (("behaviors", "fall"), "lost", ("lost",)),
     ],
 )
-def test_a_wrong_table_is_refused_with_file_and_key(tmp_path, key, value, words):
+def test_a_wrong_table_is_refused_with_file_and_key(tmp_path: Path, key: str, value: Any, words: str) -> None:
     content = yaml.safe_load(FILE.read_text())
     place = content
     for part in key[:-1]:

@@ -24,20 +24,20 @@ from harness.instance import RunningInstance
 from harness.places import ROBOTS
 from harness.vrc_in_process import System
 from harness.waiting import wait_until
+from tests.unit.test_robot_urdf import NAMES
 from tests.unit.test_vrc_joint_trajectory_controller import PERIOD, Arm, point
 from tests.unit.test_vrc_trajectory import LIMITS, NOW
-from tests.unit.test_vrc_urdf import NAMES
 from valor.common.errors import ConfigurationError
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
 from valor.common.topics import BEHAVIOR, MOTION_STATE, STOP, ServiceTopic
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
+from valor.robot.model_tree import read
 from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.footstep_controller import State
-from valor.valor_ros_controller.model_tree import read
 from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.waypoints import Point
@@ -211,7 +211,7 @@ def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
 def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:
     arm = Arm().start()
     asked = arm.hw.time
-    arm.request([point(1.0, 0.2)])  # type: ignore[no-untyped-call]
+    arm.request([point(1.0, 0.2)])
     arm.run(2 * PERIOD / SECOND)
     begun, ended = arm.controller._trajectory.start, arm.controller._trajectory.end
     assert begun >= asked
@@ -226,7 +226,7 @@ def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(in
 
     def serve(request: BehaviorRequest, origin: str) -> BehaviorReply:
         asked.append(request.behavior)
-        return BehaviorReply(accepted=request.behavior == "stand", behavior="stand_prep", reason="because")
+        return BehaviorReply(accepted=request.behavior == "stand", behavior="stand_prep", reason="because", obstacle="")
 
     manager = instance.node("motion_manager")
     server = BEHAVIOR.server(manager, serve)
@@ -262,7 +262,7 @@ def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(insta
     def server_of(name: str, topic: ServiceTopic[Any, Any]) -> bifrost.Server[BehaviorRequest, BehaviorReply]:
         def serve(request: BehaviorRequest, _origin: str) -> BehaviorReply:
             asked.append((name, request.behavior))
-            return BehaviorReply(accepted=False, behavior="fall", reason="it lies")
+            return BehaviorReply(accepted=False, behavior="fall", reason="it lies", obstacle="condition")
 
         return topic.server(instance.node(name), serve)
 

@@ -1,5 +1,7 @@
 """Claims and command rectification: one writer a joint, finite, within limits, no jump."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +16,7 @@ ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM, NECK = ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")
 
 
-def test_a_joint_has_one_writer():
+def test_a_joint_has_one_writer() -> None:
     hw = ValorEscherHWInterface(ROBOT)
     hw.claim("left", ARM)
     hw.claim("left", ARM)
@@ -25,7 +27,7 @@ def test_a_joint_has_one_writer():
     hw.claim("other", ARM)
 
 
-def test_what_is_written_follows_the_writers():
+def test_what_is_written_follows_the_writers() -> None:
     hw = ValorEscherHWInterface(ROBOT)
     hw.write("neck", NECK)
     hw.write("left", ARM)
@@ -39,7 +41,7 @@ def test_what_is_written_follows_the_writers():
     assert hw.written.size == 0
 
 
-def test_offsets_of_robot_level_controllers_are_added():
+def test_offsets_of_robot_level_controllers_are_added() -> None:
     hw = ValorEscherHWInterface(ROBOT)
     hw.write("neck", NECK)
     hw.time += 10_000_000
@@ -52,7 +54,9 @@ number = st.one_of(st.floats(-10, 10), st.floats(allow_nan=True, allow_infinity=
 
 @examples(100)
 @given(st.lists(st.tuples(st.lists(number, min_size=6, max_size=6), st.integers(-5, 400)), min_size=1, max_size=20))
-def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_what_was_sent(cycles):
+def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_what_was_sent(
+    cycles: list[tuple[list[float], int]],
+) -> None:
     hw = ValorEscherHWInterface(ROBOT)
     hw.write("neck", NECK)
     last = np.zeros(2)
@@ -72,7 +76,7 @@ def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_wha
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
 @pytest.mark.parametrize("added", [False, True])
-def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side, added):
+def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side: Any, added: bool) -> None:
     """Of every joint, the pelvis' six included; whether its own controller asks for it or another adds it."""
     hw = ValorEscherHWInterface(ROBOT)
     limits = hw.limits(np.arange(len(hw.names)))
@@ -93,7 +97,7 @@ def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side, added):
 
 
 @pytest.mark.parametrize("part", ["command_position", "command_velocity", "command_acceleration"])
-def test_a_joint_whose_command_is_not_finite_rests_where_it_was_and_no_other_does(part):
+def test_a_joint_whose_command_is_not_finite_rests_where_it_was_and_no_other_does(part: str) -> None:
     hw = ValorEscherHWInterface(ROBOT)
     hw.write("neck", NECK)
     hw.command_position[NECK], hw.command_velocity[NECK], hw.command_acceleration[NECK] = 1e-4, 0.2, 0.3

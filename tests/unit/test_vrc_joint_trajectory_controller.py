@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +15,7 @@ from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest, stated
+from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest, stated
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.waypoints import Point
@@ -46,7 +47,7 @@ class Client:
         assert self.outcome is None, "finished twice"
         self.outcome = outcome
 
-    def feedback(self, hw) -> None:
+    def feedback(self, hw: ValorEscherHWInterface) -> None:
         self.feedbacks.append(hw.time)
 
 
@@ -63,7 +64,7 @@ class Arm:
         self.sticky = sticky
         self.sent: list[np.ndarray] = []
 
-    def say(self, behavior: str, setpoint) -> None:
+    def say(self, behavior: str, setpoint: Any) -> None:
         """What the Motion System reports."""
         self.hw.motion = motion_state(behavior, np.array(setpoint))
         self.hw.commanded = self.hw.motion.joint_setpoint
@@ -73,13 +74,20 @@ class Arm:
         self.run(0.02)
         return self
 
-    def request(self, points, goal=None, names=NAMES, start=0, goal_time=None):
+    def request(
+        self,
+        points: Sequence[Point],
+        goal: Goal | None = None,
+        names: Sequence[str] = NAMES,
+        start: int = 0,
+        goal_time: float | None = None,
+    ) -> None:
         waypoints = check_waypoints(names, points, self.controller.limits, allow_partial=True)
         c = self.controller
         time = CONFIG.constraints.goal_time if goal_time is None else goal_time
         c.submit(TrajectoryRequest(waypoints, start, c.settings.path, c.settings.goal, time, goal))
 
-    def run(self, seconds: float, until=lambda: False) -> None:
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         for _ in range(round(seconds * 1e9 / PERIOD)):
             self.hw.time += PERIOD
             self.controller.update(self.hw)
@@ -114,7 +122,7 @@ def point(seconds: float, offset: float) -> Point:
     return Point(target(offset), [], [], [], seconds)
 
 
-def test_a_goal_is_reached_with_feedback_at_its_rate():
+def test_a_goal_is_reached_with_feedback_at_its_rate() -> None:
     arm, client = Arm().start(), Client()
     arm.request([point(1.0, 0.2), point(2.0, 0.1)], client)
     arm.run(3.0, lambda: client.outcome is not None)
@@ -124,7 +132,7 @@ def test_a_goal_is_reached_with_feedback_at_its_rate():
     arm.assert_no_jump()
 
 
-def test_it_begins_where_the_motion_system_commands_not_where_the_arm_sags():
+def test_it_begins_where_the_motion_system_commands_not_where_the_arm_sags() -> None:
     arm = Arm()
     arm.hw.position = HOME - 0.04
     arm.controller.start(arm.hw)
@@ -133,14 +141,14 @@ def test_it_begins_where_the_motion_system_commands_not_where_the_arm_sags():
     assert arm.hw.rectify()[0] == pytest.approx(HOME[np.sort(arm.controller.joints)])
 
 
-def test_it_keeps_sending_its_set_point_when_idle():
+def test_it_keeps_sending_its_set_point_when_idle() -> None:
     arm = Arm().start()
     count = len(arm.sent)
     arm.run(0.1)
     assert len(arm.sent) == count + 25
 
 
-def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name():
+def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name() -> None:
     arm, client = Arm(), Client()
     arm.request([point(1.0, 0.1)], client)
     arm.run(0.1)
@@ -149,19 +157,19 @@ def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name():
     assert not arm.sent
 
 
-def test_a_flood_of_refusals_is_counted_and_told_once(caplog):
+def test_a_flood_of_refusals_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
     controller = Arm().start().controller
     for _ in range(1000):
         controller.refuse(None, InvalidTrajectoryError("unknown joint 'nobody'", ErrorCode.INVALID_JOINTS))
     controller.refuse(None, InvalidTrajectoryError("no joints", ErrorCode.INVALID_JOINTS))
-    assert controller.rejected == 1001
+    assert controller.refusals.count == 1001
     assert [record.getMessage().partition("refused: ")[2] for record in caplog.records] == [
         "unknown joint 'nobody'",
-        "no joints",
+        "no joints (999 more were not told)",
     ]
 
 
-def test_active_but_not_accepted_it_sends_nothing_and_refuses():
+def test_active_but_not_accepted_it_sends_nothing_and_refuses() -> None:
     arm, client = Arm(), Client()
     arm.say("stand", HOME)
     arm.start()
@@ -171,7 +179,7 @@ def test_active_but_not_accepted_it_sends_nothing_and_refuses():
     assert not arm.sent
 
 
-def test_a_new_goal_replaces_the_old_one_without_a_jump():
+def test_a_new_goal_replaces_the_old_one_without_a_jump() -> None:
     arm, first, second = Arm().start(), Client(), Client()
     arm.request([point(2.0, 0.5)], first)
     arm.run(1.0)
@@ -183,7 +191,7 @@ def test_a_new_goal_replaces_the_old_one_without_a_jump():
     arm.assert_no_jump()
 
 
-def test_a_goal_that_cannot_begin_leaves_the_running_one_alone():
+def test_a_goal_that_cannot_begin_leaves_the_running_one_alone() -> None:
     arm, first, second = Arm().start(), Client(), Client()
     arm.request([point(1.0, 0.3)], first)
     arm.run(0.5)
@@ -193,7 +201,7 @@ def test_a_goal_that_cannot_begin_leaves_the_running_one_alone():
     assert first.outcome.code is ErrorCode.SUCCESSFUL
 
 
-def test_cancel_comes_to_rest_and_holds():
+def test_cancel_comes_to_rest_and_holds() -> None:
     arm, client = Arm().start(), Client()
     arm.request([point(2.0, 0.5)], client)
     arm.run(1.0)
@@ -210,7 +218,7 @@ def test_cancel_comes_to_rest_and_holds():
     assert (arm.arm == held).all()
 
 
-def test_a_joint_that_sticks_violates_the_path_and_everything_stops():
+def test_a_joint_that_sticks_violates_the_path_and_everything_stops() -> None:
     arm, client = Arm(sticky="l_elbow_pitch").start(), Client()
     arm.request([point(2.0, 0.5)], client)
     arm.run(3.0, lambda: client.outcome is not None)
@@ -222,7 +230,7 @@ def test_a_joint_that_sticks_violates_the_path_and_everything_stops():
     assert (arm.arm == held).all()
 
 
-def test_a_joint_short_of_the_goal_violates_it_after_the_time_allowed():
+def test_a_joint_short_of_the_goal_violates_it_after_the_time_allowed() -> None:
     arm, client = Arm(sticky="l_wrist_yaw").start(), Client()
     arm.request([point(2.0, 0.2)], client, goal_time=0.5)
     arm.run(2.4, lambda: client.outcome is not None)
@@ -233,7 +241,7 @@ def test_a_joint_short_of_the_goal_violates_it_after_the_time_allowed():
         assert word in client.outcome.text  # type: ignore[attr-defined]  # set by a callback
 
 
-def test_deactivation_aborts_with_the_reason():
+def test_deactivation_aborts_with_the_reason() -> None:
     arm, client = Arm().start(), Client()
     arm.request([point(2.0, 0.2)], client)
     arm.run(0.5)
@@ -242,7 +250,7 @@ def test_deactivation_aborts_with_the_reason():
     assert arm.hw.written.size == 0
 
 
-def test_while_not_accepted_the_trajectory_waits_and_then_goes_on():
+def test_while_not_accepted_the_trajectory_waits_and_then_goes_on() -> None:
     arm, client = Arm().start(), Client()
     arm.request([point(1.0, 0.4)], client)
     arm.run(0.5)
@@ -259,7 +267,7 @@ def test_while_not_accepted_the_trajectory_waits_and_then_goes_on():
     arm.assert_no_jump()
 
 
-def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_the_arm_stays():
+def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_the_arm_stays() -> None:
     arm, client = Arm().start(), Client()
     arm.request([point(1.0, 0.4)], client)
     arm.run(0.5)
@@ -272,7 +280,7 @@ def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_th
     assert arm.arm == pytest.approx(target(0.0))
 
 
-def test_goal_tolerances_override_the_defaults():
+def test_goal_tolerances_override_the_defaults() -> None:
     c = Arm().controller
     over = stated(c.settings.goal, [("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance")
     elbow, wrist = NAMES.index("l_elbow_pitch"), NAMES.index("l_wrist_yaw")

@@ -22,7 +22,6 @@ REPORT_TIMEOUT = 25  # of an accepted behavior, in these tests [periods]
 SETTLED = 2 * (PATIENCE + REPORT_TIMEOUT) + 30  # both commands of a pair late, and one more pair that follows [periods]
 
 REFUSALS = {
-    S.MODE_REJECTED,  # by the Motion Manager
     S.MODE_REJECTED | S.ERR_INVALID_BEHAVIOR_MODE,
     S.MODE_REJECTED | S.ERR_INVALID_TRANSITION,
     S.MODE_REJECTED | S.ERR_PRIOR_COMMAND_IN_PROGRESS,

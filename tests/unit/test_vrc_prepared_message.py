@@ -7,8 +7,8 @@ from control_msgs.msg import JointTrajectoryControllerState
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from valor.bag_recorder.definitions import definition
-from valor.valor_ros_controller.ros.prepared_message import PreparedMessage, mark, stamp_mark
+from valor.ros.definitions import definition
+from valor.ros.prepared_message import PreparedMessage, mark, stamp_mark
 
 
 def test_a_strict_reader_takes_a_message_with_empty_sequences() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 
-def test_reads_each_value_once_and_the_newest_only():
+def test_reads_each_value_once_and_the_newest_only() -> None:
     buffer: RealTimeBuffer[str] = RealTimeBuffer()
     assert buffer.read() is None and buffer.newest is None
     buffer.write("a")
@@ -18,20 +18,20 @@ def test_reads_each_value_once_and_the_newest_only():
     assert buffer.newest == "b"
 
 
-def test_a_value_that_is_false_is_still_news():
+def test_a_value_that_is_false_is_still_news() -> None:
     buffer: RealTimeBuffer[int] = RealTimeBuffer()
     buffer.write(0)
     assert buffer.read() == 0
     assert buffer.read() is None
 
 
-def test_under_threads_values_are_whole_in_order_and_the_last_arrives():
+def test_under_threads_values_are_whole_in_order_and_the_last_arrives() -> None:
     buffer: RealTimeBuffer[tuple[int, int]] = RealTimeBuffer()
     last, seen, torn = 200_000, list[Any](), list[Any]()
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
 
-    def write():
+    def write() -> None:
         for i in range(1, last + 1):
             buffer.write((i, -i))
 

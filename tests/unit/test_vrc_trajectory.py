@@ -1,6 +1,8 @@
 """Trajectories: refused when broken, continuous, through their points, within limits."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.examples import examples
+from harness.planned_trajectory import planned
+from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
 from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
@@ -28,17 +32,22 @@ REST = np.zeros((3, 3))
 NOW = 5_000_000_000
 
 
-def point(time, positions, velocities=(), accelerations=(), effort=()):
+Numbers = Sequence[float]
+
+
+def point(
+    time: float, positions: Numbers, velocities: Numbers = (), accelerations: Numbers = (), effort: Numbers = ()
+) -> Point:
     return Point(positions, velocities, accelerations, effort, time)
 
 
-def sample(trajectory, now):
+def sample(trajectory: Trajectory, now: int) -> FloatArray:
     state = np.zeros((3, len(NAMES)))
     trajectory.sample(now, state)
     return state
 
 
-def refusal(names, points, **options):
+def refusal(names: Sequence[str], points: Sequence[Point], **options: Any) -> InvalidTrajectoryError:
     with pytest.raises(InvalidTrajectoryError) as error:
         check_waypoints(names, points, LIMITS, **options)
     return error.value
@@ -75,21 +84,23 @@ GOOD = [point(1.0, [0.5, 0.5, 0.5]), point(2.0, [0.0, 1.0, 2.0])]
          ("shoulder", "-3 to 1")),
     ],
 )  # fmt: skip
-def test_broken_trajectories_are_refused_with_the_reason(names, points, code, words):
+def test_broken_trajectories_are_refused_with_the_reason(
+    names: Sequence[str], points: Sequence[Point], code: ErrorCode, words: str
+) -> None:
     error = refusal(names, points)
     assert error.code is code
     for word in words:
         assert word in str(error)
 
 
-def test_partial_goals_are_taken_where_allowed_and_the_rest_holds():
+def test_partial_goals_are_taken_where_allowed_and_the_rest_holds() -> None:
     waypoints = check_waypoints(["wrist"], [point(1.0, [2.0])], LIMITS, allow_partial=True)
     trajectory = begin(waypoints, 0, NOW, np.array([[0.1, 0.2, 0.3], *REST[1:]]), LIMITS)
     assert sample(trajectory, NOW + 500_000_000)[0] == pytest.approx([0.1, 0.2, 1.15])
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([0.1, 0.2, 2.0])
 
 
-def test_names_in_another_order_are_mapped():
+def test_names_in_another_order_are_mapped() -> None:
     waypoints = check_waypoints(["wrist", "shoulder", "elbow"], [point(2.0, [3.0, 1.0, 2.0])], LIMITS)
     trajectory = begin(waypoints, 0, NOW, REST, LIMITS)
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([1.0, 2.0, 3.0])
@@ -103,29 +114,57 @@ def test_names_in_another_order_are_mapped():
         (point(2.0, [1.0, 1.0, 1.0], [0, 0, 0], [0, 0, 0]), (0.5, 0.9375)),
     ],
 )
-def test_interpolation_is_linear_cubic_or_quintic_by_what_the_points_give(end, middle):
+def test_interpolation_is_linear_cubic_or_quintic_by_what_the_points_give(end: Point, middle: Any) -> None:
     trajectory = begin(check_waypoints(NAMES, [end], LIMITS), 0, NOW, REST, LIMITS)
     position, velocity, _ = sample(trajectory, NOW + 1_000_000_000)
     assert (position[0], velocity[0]) == pytest.approx(middle)
 
 
-def begun(points, start=0, now=NOW, state=REST):
+def begun(points: Sequence[Point], start: int = 0, now: int = NOW, state: FloatArray = REST) -> Trajectory:
     return begin(check_waypoints(NAMES, points, LIMITS), start, now, state, LIMITS)
 
 
-def begin_refusal(*args, **options):
+def begin_refusal(*args: Any, **options: Any) -> InvalidTrajectoryError:
     with pytest.raises(InvalidTrajectoryError) as error:
         begun(*args, **options)
     return error.value
 
 
-def test_a_first_point_that_the_speed_limits_do_not_allow_is_refused():
+def test_a_first_point_that_the_speed_limits_do_not_allow_is_refused() -> None:
     error = begin_refusal([point(0.1, [1.0, 0.0, 0.0])])
     assert error.code is ErrorCode.INVALID_GOAL
     assert "shoulder" in str(error) and "10 rad/s" in str(error) and "2 rad/s" in str(error)
 
 
-def test_a_point_at_time_zero_tells_where_the_sender_thinks_we_are():
+@pytest.mark.parametrize("points", [5, 50, 500])
+@pytest.mark.parametrize("off", [0.01, 0.05])
+def test_a_dense_plan_that_begins_beside_the_set_point_is_joined_where_there_is_time(points: int, off: float) -> None:
+    """A planner starts at measured joints: to be where it says at its second point, 5 ms on, would take 10 rad/s."""
+    plan = planned(np.array([[off, -off, 0.0], [0.8, 0.3, -0.4]]), np.full(3, 0.8), np.full(3, 4.0), points)
+    sent = [
+        point(float(t), p.tolist(), v.tolist(), a.tolist())
+        for t, p, v, a in zip(plan.time, plan.position, plan.velocity, plan.acceleration, strict=True)
+    ]
+    trajectory = begun(sent)
+    times = np.arange(0.0, plan.time[-1], 0.002)
+    states = np.array([sample(trajectory, NOW + round(t * 1e9)) for t in times])
+    assert states[0, 0] == pytest.approx([0, 0, 0]), "the set-point must not jump"
+    assert (np.abs(states[:, 1]) <= LIMITS.fastest).all()
+    assert np.abs(np.diff(states[:, 0], axis=0)).max() <= LIMITS.fastest.max() * 0.002
+    there = np.stack([np.interp(times, plan.time, column) for column in plan.position.T], axis=1)
+    apart = np.abs(states[:, 0] - there).max(axis=1)
+    assert trajectory.end == NOW + round(plan.time[-1] * 1e9)
+    if points > 5:
+        assert apart.max() <= off + 0.02
+        assert apart[times > 0.45].max() < 1e-3
+
+
+def test_a_plan_of_nearly_nothing_is_taken_from_beside_its_start() -> None:
+    sent = [point(i * 0.002, [0.02 - i * 1e-5, 0.0, 0.0], [0.0] * 3) for i in range(50)]
+    assert sample(begun(sent), NOW + 98_000_000)[0] == pytest.approx([0.02 - 49e-5, 0, 0])
+
+
+def test_a_point_at_time_zero_tells_where_the_sender_thinks_we_are() -> None:
     near = [point(0.0, [0.05, 0.0, 0.0]), point(1.0, [0.5, 0.0, 0.0])]
     trajectory = begun(near)
     assert sample(trajectory, NOW)[0] == pytest.approx([0, 0, 0]), "the set-point must not jump"
@@ -134,7 +173,7 @@ def test_a_point_at_time_zero_tells_where_the_sender_thinks_we_are():
     assert begin_refusal([point(0.0, [0.0, 0.0, 0.0])]).code is ErrorCode.INVALID_GOAL
 
 
-def test_header_stamps():
+def test_header_stamps() -> None:
     later = begun([point(1.0, [0.5, 0, 0])], start=NOW + 1_000_000_000)
     assert later.end == NOW + 2_000_000_000
     assert begin_refusal(GOOD, start=NOW - 3_000_000_000).code is ErrorCode.OLD_HEADER_TIMESTAMP
@@ -145,7 +184,7 @@ def test_header_stamps():
     assert wall.code is ErrorCode.INVALID_GOAL and "another clock" in str(wall)
 
 
-def test_stopping_decelerates_each_joint_as_told_and_stays():
+def test_stopping_decelerates_each_joint_as_told_and_stays() -> None:
     velocity, deceleration = np.array([1.0, -0.5, 0.0]), np.array([10.0, 2.5, 10.0])
     trajectory = Trajectory.stopping(NOW, np.zeros(3), velocity, deceleration, LIMITS)
     assert trajectory.end == NOW + 200_000_000
@@ -163,7 +202,7 @@ rests = st.tuples(*(st.tuples(st.floats(0.0, 1.0), st.floats(-6, 6), st.floats(0
 
 @examples(60)
 @given(rests)
-def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints):
+def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints: Any) -> None:
     fraction, speed, deceleration = np.array(joints).T
     lower, upper = np.maximum(LIMITS.lower, -9.0), np.minimum(LIMITS.upper, 9.0)
     position = lower + fraction * (upper - lower)
@@ -178,7 +217,7 @@ def test_stopping_anywhere_ends_at_rest_within_the_limits_without_a_jump(joints)
     assert (sample(trajectory, trajectory.end)[1] == 0).all()
 
 
-def test_a_trajectory_is_asked_about_any_time_without_being_moved():
+def test_a_trajectory_is_asked_about_any_time_without_being_moved() -> None:
     trajectory = begun([point(1.0, [0.5, 0, 0]), point(2.0, [0.0, 0, 0])])
     assert trajectory.at(NOW + 1_500_000_000)[0] == pytest.approx([0.25, 0, 0])
     assert trajectory.at(NOW + 500_000_000)[0] == pytest.approx([0.25, 0, 0])
@@ -187,7 +226,7 @@ def test_a_trajectory_is_asked_about_any_time_without_being_moved():
     assert trajectory.at(trajectory.end + 10**9)[0] == pytest.approx([0, 0, 0])
 
 
-def test_delay_shifts_what_is_to_come():
+def test_delay_shifts_what_is_to_come() -> None:
     trajectory = begun([point(1.0, [0.5, 0, 0])])
     before = sample(trajectory, NOW + 400_000_000)
     trajectory.delay(2_000_000_000)
@@ -199,9 +238,9 @@ speeds = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3))
 
 
 @st.composite
-def trajectories(draw):
+def trajectories(draw: st.DrawFn) -> list[Point]:
     """Way-points, slow enough more often than not, of any mixture of what points may carry."""
-    time, points = 0.0, []
+    time, points = 0.0, list[Point]()
     count = draw(st.integers(1, 5))
     for i in range(count):
         time += draw(st.floats(0.5, 12.0))
@@ -214,7 +253,9 @@ def trajectories(draw):
 
 @examples(80)
 @given(trajectories(), positions)
-def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(points, here):
+def test_accepted_trajectories_are_continuous_within_limits_and_through_their_points(
+    points: list[Point], here: tuple[float, ...]
+) -> None:
     try:
         waypoints = check_waypoints(NAMES, points, LIMITS)
         trajectory = begin(waypoints, 0, NOW, np.array([here, *REST[1:]]), LIMITS)
@@ -244,7 +285,7 @@ sizes = st.lists(anything, max_size=4)
     st.lists(st.sampled_from([*NAMES, "knee"]), max_size=4),
     st.lists(st.builds(Point, sizes, sizes, sizes, st.just(()), anything), max_size=4),
 )
-def test_whatever_comes_is_taken_whole_or_refused_with_a_code(names, points):
+def test_whatever_comes_is_taken_whole_or_refused_with_a_code(names: list[str], points: list[Point]) -> None:
     try:
         waypoints = check_waypoints(names, points, LIMITS)
     except InvalidTrajectoryError as error:

@@ -6,6 +6,7 @@ import pytest
 
 from harness.vrc_in_process import SILENCE, System
 from valor.common import topics
+from valor.common.messages import ClockStatus
 
 
 @pytest.fixture
@@ -45,3 +46,18 @@ def test_a_comms_manager_that_died_before_its_last_word_had_reached_everybody_is
     assert silence(system) == "motion_manager"  # as long as it is not known to be gone
     system.network.topic(topics.PROPRIOCEPTOR.name).publishers = ()
     assert silence(system) == "comms_manager"
+
+
+def test_while_time_is_paused_nobody_is_named_and_afterwards_whoever_is(system: System) -> None:
+    clock = system.network.topic(topics.CLOCK.name)
+
+    def said(mode: str) -> None:
+        clock.publish(ClockStatus(mode, 0, 0.0, 0.0, 0, False))
+
+    for _ in range(5):
+        said(topics.PAUSED)
+        assert silence(system) == ""
+    said("lockstep")
+    assert silence(system) == "comms_manager"
+    said(topics.PAUSED)
+    assert silence(system) == "comms_manager", "who was silent before is no pause's"

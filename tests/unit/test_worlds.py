@@ -113,6 +113,27 @@ def test_the_rubble_is_up_to_four_centimetres_high_and_begins_beyond_the_toes(se
     np.testing.assert_allclose(before, 0.0, atol=1e-6)
 
 
+def test_bumps_and_boxes_go_by_the_robots_legs_and_the_rest_does_not() -> None:
+    thor = RobotDescription.load(ROBOTS / "thor")
+    size = worlds.size_of(thor)
+    assert worlds.size_of(ROBOT) == 1.0
+    assert size == pytest.approx(thor.tables.size.leg / 0.82)
+    y = np.linspace(-0.81, 0.77, 9)
+    x = np.linspace(2.013, 3.019, 40)  # before the first slope, and beside the grid, between whose cells rays slip
+    for name, places in (("dirt", x), ("rubble", x - 0.7)):
+        theirs, ours = (worlds.heights(name, 5, places, y, each) for each in (size, 1.0))
+        np.testing.assert_allclose(theirs, size * ours, atol=2e-4)
+    assert worlds.load("stairs", 0, 0.3).to_xml() == worlds.load("stairs", 0).to_xml()
+    model = Plant(thor, "dirt", "ideal", 5).model.mj
+    assert model.hfield_size[0, 2] == pytest.approx(_height_range(5, size), rel=1e-3)
+
+
+def _height_range(seed: int, size: float) -> float:
+    rng = np.random.default_rng([seed, 2])
+    slopes = DIRT.slopes(rng)
+    return float(np.ptp(slopes + size * DIRT.bumps(rng)))
+
+
 def test_an_unknown_world_is_refused_by_name() -> None:
     with pytest.raises(ConfigurationError, match="world 'moon': expected one of flat, dirt, stairs, stairs_15cm, rubb"):
         worlds.load("moon", 0)

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.analysis.ros_types import Types
-from valor.analysis.stored import StoredBag, StoredMessage
 from valor.bags.errors import BagError
+from valor.bags.stored import StoredBag, StoredMessage
 from valor.common.arrays import FloatArray
 from valor.common.topics import M, Topic
 

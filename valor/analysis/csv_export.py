@@ -16,9 +16,9 @@ from typing import Any
 from valor.analysis import parquet
 from valor.analysis.flat import Flattener, Shape
 from valor.analysis.ros_types import Types
-from valor.analysis.stored import Condition, StoredBag, StoredTopic
 from valor.bags.errors import BagError
 from valor.bags.selection import Selection
+from valor.bags.stored import Condition, StoredBag, StoredTopic
 from valor.common import whole_file
 
 TIME = "log_time_ns"

@@ -77,6 +77,12 @@ class PoseError:
         made: FloatArray = np.linalg.norm(self.position, axis=1)
         return made
 
+    @property
+    def angle(self) -> FloatArray:
+        """(m,) of the turn between them [rad]."""
+        made: FloatArray = Rotation.from_euler("xyz", self.orientation).magnitude()
+        return made
+
 
 class Hand:
     """Forward kinematics of a hand and of the chest that carries its arm."""

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from valor.analysis import style
-from valor.analysis.bands import bands
+from valor.analysis import marks, style
+from valor.analysis.bands import bands, keys
 from valor.analysis.end_effector import HandTrack, PoseError
-from valor.analysis.recording import Recording
+from valor.analysis.recording import Posture, Recording
 from valor.analysis.scene import Scene
+from valor.analysis.timeline import Motion
 from valor.common.arrays import FloatArray
 
 _AXES = ("x", "y", "z")
 _TURNS = ("roll", "pitch", "yaw")
 _PANEL = (420, 560)  # [pixels]
 _DPI = 100
+_GHOST, _THIN = 0.35, 5  # how much of what was wanted is seen; one point of so many of the hand's way is drawn
+_FAR = 15.0  # values beyond which the small ones could not be seen any more [cm, °]
 _MIDDLE = np.array([0.0, -0.12, 1.12])  # of the pictures, on the ground below the pelvis: room for a right arm [m]
 
 
@@ -41,51 +45,65 @@ def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: 
         if row == 0:
             axes.plot(at, np.linalg.norm(values, axis=1), color=style.GREY, linewidth=0.9, label="distance")
         _finish(axes, at, np.array([values.min(), np.linalg.norm(values, axis=1).max() if row == 0 else values.max()]))
+        _show_small(axes, values)
         _name(axes, at, track, columns=4)
     style.heading(figure, title, subtitle)
     return style.save(figure, file)
 
 
-def base(track: HandTrack, file: Path) -> Path:
-    """What the base's motion does to the hand, by component and as a distance, beside the whole error."""
-    figure, (above, below) = _two_panels()
-    at = track.time - track.time[0]
-    moved, total = track.base_error, track.total_error
-    style.quiet(above, "floating base minus fixed base", "", "[cm]")
-    for i, name in enumerate(_AXES):
-        above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
-    _distances(below, at, track)
-    top = 130.0 * float(max(moved.distance.max(), np.quantile(total.distance, 0.3)))
-    below.set_ylim(0.0, max(top, 1.0))  # on the way to a goal the whole error is far larger: not what this is about
-    _finish(above, at, 100.0 * moved.position)
-    below.set_xlim(at[0], at[-1])
-    for axes in (above, below):
-        _name(axes, at, track)
-    largest = 100.0 * float(moved.distance.max())
-    style.heading(figure, "What the floating base does to the hand", f"at most {largest:.1f} cm")
+def base(kept: HandTrack, ours: HandTrack, file: Path) -> Path:
+    """What the base's motion does to the hand where the CoM stays, and beside it where the CoM goes with the arm."""
+    figure = style.figure(11.0, 6.0)
+    grid = figure.add_gridspec(2, 2, left=0.06, right=0.985, bottom=0.09, top=0.79, hspace=0.42, wspace=0.1)
+    top = 115.0 * float(max(np.abs(track.base_error.position).max() for track in (kept, ours)))
+    farthest = [100.0 * float(track.base_error.distance.max()) for track in (kept, ours)]
+    for column, (track, name) in enumerate(((kept, "the CoM stays"), (ours, "the CoM goes with the arm"))):
+        at, moved = track.time - track.time[0], track.base_error
+        above, below = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+        style.quiet(above, f"{name}: by axis", "", "[cm]" if not column else "")
+        for i, axis in enumerate(_AXES):
+            above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.3, label=axis)
+        style.quiet(below, f"{name}: distance", "robot time [s]", "[cm]" if not column else "")
+        below.plot(at, 100.0 * moved.distance, color=style.MEASURED, linewidth=1.6)
+        above.set_ylim(-top, top)
+        below.set_ylim(0.0, 1.1 * max(farthest))
+        for axes in (above, below):
+            axes.set_xlim(at[0], at[-1])
+            bands(axes, at, track.behavior, label=False)
+    handles = [style.sample(axis, style.SERIES[i], 1.8) for i, axis in enumerate(_AXES)]
+    style.key(figure, [*handles, *keys(np.concatenate([kept.behavior, ours.behavior]))])
+    told = f"at most {farthest[0]:.1f} cm, and {farthest[1]:.1f} cm where the CoM goes with the arm"
+    style.heading(figure, "What the floating base does to the hand", told)
     return style.save(figure, file)
 
 
 def shares(track: HandTrack, file: Path) -> Path:
-    """The whole error from the goal and the floating base's part of it, by component and as distances (figure 5.15)."""
-    figure, (above, below) = _two_panels()
-    at = track.time - track.time[0]
-    total, moved = track.total_error, track.base_error
-    style.quiet(above, "solid: from the goal; dashed: by the floating base", "", "[cm]")
-    for i, name in enumerate(_AXES):
-        above.plot(at, 100.0 * total.position[:, i], color=style.SERIES[i], linewidth=1.3, label=name)
-        above.plot(at, 100.0 * moved.position[:, i], color=style.SERIES[i], linewidth=1.1, linestyle=(0, (3, 2)))
-    _distances(below, at, track)
-    # On the way to a goal errors are those of motions that are not made yet: what stays is what is looked at.
-    rest = np.concatenate([np.flatnonzero(track.settled(motion)) for motion in track.motions])
-    most = 140.0 * float(np.abs(total.position[rest]).max())
-    above.set_ylim(-max(most, 1.0), max(most, 1.0))
-    below.set_ylim(0.0, max(140.0 * float(total.distance[rest].max()), 1.0))
-    for axes in (above, below):
-        axes.set_xlim(at[0], at[-1])
-        _name(axes, at, track)
-    largest = 100.0 * float(total.distance[rest].max())
-    style.heading(figure, "Whose error it is", f"at rest at most {largest:.1f} cm from the goal")
+    """The error at rest after each motion: the whole, the floating base's part and the joints' (figure 5.15)."""
+    figure = style.figure(11.0, 4.6)
+    axes = figure.add_axes((0.06, 0.12, 0.925, 0.62))
+    style.quiet(axes, "", "", "at rest [cm]")
+    parts = (
+        ("from the goal, all causes", style.GREY, track.total_error),
+        ("by the floating base", style.MEASURED, track.base_error),
+        ("by the joints: measured from set-points", style.COMMAND, track.tracking_error),
+    )
+    width, largest = 0.8 / len(parts), 0.0
+    for place, motion in enumerate(track.motions):
+        rest = track.settled(motion)
+        for i, (_, color, error) in enumerate(parts):
+            value = 100.0 * float(error.distance[rest].mean()) if rest.any() else 0.0
+            at = place + (i - 1) * width
+            axes.bar(at, value, 0.9 * width, color=color)
+            axes.annotate(f"{value:.1f}", (at, value), (0, 2), textcoords="offset points", ha="center", fontsize=7.5,
+                          color=style.GREY)  # fmt: skip
+            largest = max(largest, value)
+    axes.set_xticks(range(len(track.motions)), [motion.name for motion in track.motions])
+    axes.tick_params(axis="x", labelcolor=style.INK)
+    axes.grid(False, axis="x")
+    axes.set_ylim(0.0, 1.12 * max(largest, 1.0))
+    style.key(figure, [style.sample(name, color, 6.0) for name, color, _ in parts])
+    told = f"at rest at most {largest:.1f} cm; parts in different directions do not add up"
+    style.heading(figure, "Whose error it is", told)
     return style.save(figure, file)
 
 
@@ -105,7 +123,10 @@ def torso(track: HandTrack, file: Path) -> Path:
 
 
 def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Path) -> Path:
-    """The robot at rest at some poses, drawn, with how far hand and torso are from where they were meant to be."""
+    """The robot at rest at some poses on its floating base, and as a ghost where a fixed base would have had it.
+
+    The ghost's arm is the one wanted; the line is the hand's way; above stands how far hand and torso are off.
+    """
     motions = {motion.name: motion for motion in track.motions}
     chosen = [motions[name] for name in names if name in motions]
     width, height = _PANEL
@@ -114,7 +135,10 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
         for motion in chosen:
             posture = recording.posture(motion.end)
             scene.look_at(posture.pelvis_position * (1.0, 1.0, 0.0) + _MIDDLE, distance=3.1, azimuth=140.0)
-            images.append(scene.draw(posture))
+            ghost = _wanted(recording, track, motion)
+            way = track.floating.position[(track.time >= motion.start) & (track.time <= motion.end)][::_THIN]
+            seen = scene.draw(posture, marks.trace(way, style.MEASURED, 0.005)).astype(float)
+            images.append((seen + _GHOST * (scene.draw(ghost) - seen)).round().astype(np.uint8))
     header = 84
     figure = style.figure(len(chosen) * width / _DPI, (height + header) / _DPI, _DPI)
     share = height / (height + header)
@@ -130,6 +154,15 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
     return style.save(figure, file, _DPI)
 
 
+def _wanted(recording: Recording, track: HandTrack, motion: Motion) -> Posture:
+    """The robot with a motion's goal reached and its base where it was when all began."""
+    first, robot = recording.posture(float(track.time[0])), recording.robot
+    joints = first.joint_position.copy()
+    for joint, goal in motion.goal.items():
+        joints[robot.index[joint]] = goal
+    return replace(first, joint_position=joints)
+
+
 def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
     """A figure, and its axes: above, below."""
     figure = style.figure(11.0, 5.8)
@@ -137,20 +170,23 @@ def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
     return figure, (figure.add_subplot(grid[0]), figure.add_subplot(grid[1]))
 
 
-def _distances(axes: Axes, at: FloatArray, track: HandTrack) -> None:
-    style.quiet(axes, "distance", "robot time [s]", "[cm]")
-    for error, color, width, label in (
-        (track.total_error, style.GREY, 1.3, "from the goal, all causes"),
-        (track.base_error, style.MEASURED, 1.6, "by the base's motion"),
-    ):
-        axes.plot(at, 100.0 * error.distance, color=color, linewidth=width, label=label)
-
-
 def _finish(axes: Axes, at: FloatArray, values: FloatArray) -> None:
     axes.set_xlim(at[0], at[-1])
     low, high = float(values.min()), float(values.max())
     room = max(high - low, 1e-3)
     axes.set_ylim(low - 0.18 * room, high + 0.12 * room)  # below: the bands
+
+
+def _show_small(axes: Axes, values: FloatArray) -> None:
+    """Where values reach far beyond those at rest, what lies beyond one unit is drawn by its logarithm."""
+    largest = float(np.abs(values).max())
+    if largest < _FAR:
+        return
+    axes.set_yscale("symlog", linthresh=1.0, linscale=1.0)
+    ticks = [0.0, *(sign * 10.0**power for power in range(int(np.log10(largest)) + 1) for sign in (-1.0, 1.0))]
+    axes.set_yticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
+    axes.minorticks_off()
+    axes.set_ylim(-2.0 * largest, 2.0 * largest)
 
 
 def _name(axes: Axes, at: FloatArray, track: HandTrack, columns: int = 3, top: float = 1.24) -> None:

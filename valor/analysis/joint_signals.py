@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from valor.analysis import style
 from valor.analysis.bands import bands_of, keys
@@ -22,8 +21,6 @@ from valor.analysis.timeline import Timeline
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
-
-GOAL, VRC, MOTOR_COLOR, MEASURED = "#0072b2", "#c0392b", "#e69f00", "#7d5ba6"
 
 Quantity = Literal["position", "velocity"]
 
@@ -106,10 +103,10 @@ def draw(recording: Recording, signals: Sequence[JointSignals], quantity: Quanti
     columns = 2
     rows = -(-len(signals) // columns)
     unit = {"position": "rad", "velocity": "rad/s"}[quantity]
-    height = 1.2 + 1.75 * rows
+    height = 1.45 + 1.75 * rows
     figure = style.figure(11.0, height)
     grid = figure.add_gridspec(
-        rows, columns, left=0.075, right=0.985, bottom=0.5 / height, top=1.0 - 1.15 / height, hspace=0.5, wspace=0.16
+        rows, columns, left=0.075, right=0.985, bottom=0.5 / height, top=1.0 - 1.4 / height, hspace=0.5, wspace=0.16
     )
     for i, one in enumerate(signals):
         axes = figure.add_subplot(grid[i // columns, i % columns])
@@ -117,29 +114,29 @@ def draw(recording: Recording, signals: Sequence[JointSignals], quantity: Quanti
         style.quiet(axes, one.joint, "robot time [s]" if i >= len(signals) - columns else "",
                     f"{quantity} [{unit}]" if i % columns == 0 else "")  # fmt: skip
     style.heading(figure, title, "goals of clients, VRC's set-points, the Motion System's commands, encoders")
-    lines = ((GOAL, "goal"), (VRC, "VRC"), (MOTOR_COLOR, "motor command"), (MEASURED, "measured"))
-    shown = lines if quantity == "position" else lines[1:]
-    handles: list[Artist] = [Line2D([], [], color=color, linewidth=1.8, label=name) for color, name in shown]
-    handles += keys(recording.behaviors(signals[0].measured[quantity].time))
-    style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 1.0 - 0.12 / height), ncols=len(handles))
+    style.key(figure, _named(recording, signals[0], quantity))
     return style.save(figure, file)
 
 
 def neck(recording: Recording, signals: JointSignals, file: Path) -> Path:
     """Position and velocity of one joint side by side (figure 5.4)."""
-    figure = style.figure(11.0, 3.9)
-    grid = figure.add_gridspec(1, 2, left=0.07, right=0.985, bottom=0.14, top=0.72, wspace=0.17)
+    figure = style.figure(11.0, 4.1)
+    grid = figure.add_gridspec(1, 2, left=0.07, right=0.985, bottom=0.13, top=0.68, wspace=0.17)
     quantities: tuple[Quantity, ...] = ("position", "velocity")
     for i, quantity in enumerate(quantities):
         axes = figure.add_subplot(grid[i])
         _panel(axes, recording, signals, quantity)
         style.quiet(axes, quantity, "robot time [s]", "[rad]" if i == 0 else "[rad/s]")
     style.heading(figure, f"{signals.joint}: control signals", "goals give positions only, so no goal has a velocity")
-    lines = ((GOAL, "goal"), (VRC, "VRC"), (MOTOR_COLOR, "motor command"), (MEASURED, "measured"))
-    handles: list[Artist] = [Line2D([], [], color=color, linewidth=1.8, label=name) for color, name in lines]
-    handles += keys(recording.behaviors(signals.measured["position"].time))
-    style.legend(figure, handles, loc="upper right", bbox_to_anchor=(0.99, 0.97), ncols=len(handles))
+    style.key(figure, _named(recording, signals, "position"))
     return style.save(figure, file)
+
+
+def _named(recording: Recording, signals: JointSignals, quantity: Quantity) -> list[Artist]:
+    """A line a signal, a patch a behavior; no goal has a velocity."""
+    names = {"goal": style.REFERENCE, "VRC": style.SETPOINT, "motor command": style.COMMAND, "measured": style.MEASURED}
+    lines: list[Artist] = [style.sample(name, color, 1.8) for name, color in names.items()]
+    return lines[quantity == "velocity" :] + keys(recording.behaviors(signals.measured[quantity].time))
 
 
 def _panel(axes: Axes, recording: Recording, one: JointSignals, quantity: Quantity) -> None:
@@ -147,11 +144,11 @@ def _panel(axes: Axes, recording: Recording, one: JointSignals, quantity: Quanti
     if quantity == "position":
         at, goal = one.reference
         near = (at >= start) & (at <= end)
-        style.curve(axes, at[near] - start, goal[near], GOAL, 1.2)
+        style.curve(axes, at[near] - start, goal[near], style.REFERENCE, 1.2)
     for signal, color, width in (
-        (one.measured[quantity], MEASURED, 2.2),
-        (one.command[quantity], MOTOR_COLOR, 1.4),
-        (one.setpoint[quantity], VRC, 0.9),
+        (one.measured[quantity], style.MEASURED, 2.2),
+        (one.command[quantity], style.COMMAND, 1.4),
+        (one.setpoint[quantity], style.SETPOINT, 0.9),
     ):
         style.curve(axes, signal.time - start, signal.value, color, width)
     low, high = axes.get_ylim()

@@ -7,6 +7,8 @@ else did. Here the platform is ours: EGL, unless ``MUJOCO_GL`` says ``osmesa``.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import mujoco
@@ -14,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.analysis.errors import OFFSCREEN, RenderingError
+from valor.analysis.marks import Arrow, Ball, Line, Mark
+from valor.common.arrays import FloatArray
 
 Image = npt.NDArray[np.uint8]
 
@@ -38,11 +42,18 @@ class Offscreen:
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._option = mujoco.MjvOption()
 
-    def render(self, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Image:
-        """(height, width, 3) what the camera sees."""
+    def render(self, data: mujoco.MjData, camera: mujoco.MjvCamera, marks: Iterable[Mark] = ()) -> Image:
+        """(height, width, 3) what the camera sees, and marks that are no part of the model."""
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateCamera(self._model, data, camera, self._scene)  # the headlight takes the scene's last camera
+        drawn = tuple(marks)
+        self._option.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = any(
+            not isinstance(mark, Line)
+            for mark in drawn  # which stand inside the robot
+        )
         mujoco.mjv_updateScene(self._model, data, self._option, None, camera, everything, self._scene)
+        for mark in drawn:
+            _add(self._scene, mark)
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
         mujoco.mjr_readPixels(self._image, None, self._rectangle, self._context)
         return self._image[::-1]  # OpenGL's first row is the lowest
@@ -51,6 +62,33 @@ class Offscreen:
         """Give the graphics memory back."""
         self._context.free()
         self._platform.free()
+
+
+def _add(scene: mujoco.MjvScene, mark: Mark) -> None:
+    """Add a mark to what is drawn next, as far as there is room."""
+    if isinstance(mark, Ball):
+        _geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, mark, np.full(3, mark.radius), mark.position)
+        return
+    shape = mujoco.mjtGeom.mjGEOM_ARROW if isinstance(mark, Arrow) else mujoco.mjtGeom.mjGEOM_CAPSULE
+    points = (mark.start, mark.end) if isinstance(mark, Arrow) else mark.points
+    closing = points[:1] if isinstance(mark, Line) and mark.closed else ()
+    for start, end in pairwise([*points, *closing]):
+        made = _geom(scene, shape, mark, np.zeros(3), np.zeros(3))
+        if made is not None:
+            mujoco.mjv_connector(made, shape, mark.width, np.asarray(start, float), np.asarray(end, float))
+
+
+def _geom(
+    scene: mujoco.MjvScene, shape: int, mark: Mark, size: FloatArray, position: FloatArray
+) -> mujoco.MjvGeom | None:
+    if scene.ngeom >= scene.maxgeom:
+        return None
+    made = scene.geoms[scene.ngeom]
+    rgba = np.array([*(int(mark.color[i : i + 2], 16) / 255 for i in (1, 3, 5)), mark.alpha], dtype=np.float32)
+    mujoco.mjv_initGeom(made, shape, size, np.asarray(position, float), np.eye(3).ravel(), rgba)
+    made.emission = 0.35  # seen in the robot's shade, too
+    scene.ngeom += 1
+    return made
 
 
 def _platform(width: int, height: int) -> Any:

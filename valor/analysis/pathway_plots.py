@@ -14,7 +14,7 @@ from valor.analysis import style
 from valor.analysis.bands import bands, color, keys, make_room
 from valor.analysis.pathways import Latencies, Segment
 
-_COLORS = {"VRC": "#0072b2", "Motion System": "#d55e00", "robot": "#009e73"}
+_COLORS = dict(zip(("VRC", "Motion System", "robot"), style.SERIES, strict=False))
 
 
 def bars(found: Mapping[str, Latencies], file: Path) -> Path:
@@ -33,7 +33,7 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     for i, latencies in enumerate(found.values()):
         offset = (i - 0.5 * (len(found) - 1)) * width
         for place, segment in enumerate(latencies.segments):
-            if not len(segment.samples):
+            if not len(segment.by_stamps):
                 continue
             at, mean, deviation = place + offset, 1e3 * segment.mean, 1e3 * segment.deviation
             axes.bar(at, mean, 0.92 * width, color=_COLORS[segment.where], alpha=1.0 if i == len(found) - 1 else 0.45)
@@ -42,7 +42,11 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
             axes.annotate(f"{mean:.1f}", (at, mean + deviation), (0, 3), textcoords="offset points", ha="center",
                           fontsize=8, color=style.GREY)  # fmt: skip
             under.append((at, _behavior(latencies, segment)))
-            bottom, top = min(bottom, mean - deviation if mean < 0.0 else 0.0), max(top, mean + deviation)
+            bottom, top = min(bottom, mean - deviation), max(top, mean + deviation)
+            if len(segment.by_correlation):
+                shift = 1e3 * float(segment.by_correlation.mean())
+                axes.plot(at, shift, "x", color=style.INK, markersize=6.0, zorder=3)
+                bottom, top = min(bottom, 1.3 * shift), max(top, shift)
     names = [
         segment.name.replace(" → ", " →\n").replace(" change ", "\nchange ")
         for segment in next(iter(found.values())).segments
@@ -50,7 +54,7 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     axes.set_xticks(range(len(names)), names)
     axes.tick_params(axis="x", labelcolor=style.INK)
     axes.grid(False, axis="x")
-    foot = 1.15 * bottom - 0.07 * (top - bottom)
+    foot = bottom - 0.07 * (top - bottom)
     axes.set_ylim(foot, 1.15 * top)
     for at, behavior in under:
         axes.bar(at, 0.05 * (top - bottom), width, bottom=foot, color=color(behavior), zorder=0.5)
@@ -65,7 +69,7 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     style.heading(
         figure,
         "How long each step takes",
-        "from one message sent to the next: means; lines: one standard deviation; diamonds: medians",
+        "from one message sent to the next: means ± one standard deviation; diamonds: medians; crosses: by correlation",
     )
     return style.save(figure, file)
 
@@ -86,23 +90,23 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     names = [segment.name for segment in next(iter(found.values())).segments]
     used: dict[str, str] = {}
     labels = []
-    lowest = highest = 0.0
+    highest = 0.0
     under: list[str] = []
     for group, pathways in enumerate(zip(*(latencies.pathways for latencies in found.values()), strict=True)):
         for i, ((profile, latencies), pathway) in enumerate(zip(found.items(), pathways, strict=True)):
             at = -(group * (len(found) + 0.4) + i)
-            ends = {True: 0.0, False: 0.0}  # what is below zero stands to the left of it
+            end = 0.0
             for segment in pathway.segments:
                 shade = used.setdefault(segment.name, style.SERIES[names.index(segment.name)])
                 step = 1e3 * segment.mean
-                axes.barh(at, step, 0.68, left=ends[step >= 0.0], color=shade)
-                if len(segment.samples):
+                axes.barh(at, step, 0.68, left=end, color=shade)
+                if len(segment.by_stamps):
                     under.append(_behavior(latencies, segment))
-                    axes.barh(at - 0.42, step, 0.12, left=ends[step >= 0.0], color=color(under[-1]))
-                ends[step >= 0.0] += step
+                    axes.barh(at - 0.42, step, 0.12, left=end, color=color(under[-1]))
+                end += step
             total, deviation = 1e3 * pathway.mean, 1e3 * pathway.deviation
             axes.errorbar(total, at, xerr=deviation, color=style.GREY, linewidth=1.0, capsize=3)
-            lowest, end = min(lowest, ends[False]), max(ends[True], total + deviation)
+            end = max(end, total + deviation)
             highest = max(highest, end)
             text = f"{total:.1f} ms (thesis: {thesis[pathway.name]})"
             axes.annotate(
@@ -112,8 +116,7 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     axes.set_yticks([at for at, _ in labels], [label for _, label in labels])
     axes.tick_params(axis="y", labelcolor=style.INK)
     axes.grid(False, axis="y")
-    axes.set_xlim(1.1 * lowest, 1.3 * highest)
-    axes.axvline(0.0, color=style.GREY, linewidth=0.8)
+    axes.set_xlim(0.0, 1.3 * highest)
     handles = [style.sample(name, shade, 6.0) for name, shade in used.items()]
     style.legend(figure, handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=4)
     style.legend(figure, keys(under), loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=1)
@@ -141,18 +144,17 @@ def over_time(found: Mapping[str, Latencies], file: Path) -> Path:
             axes = figure.add_subplot(grid[row, column])
             last = row == rows - 1
             style.quiet(axes, f"{pathway.name}, {profile}", "time [s]" if last else "", "[ms]" if column == 0 else "")
-            bottom = top = 0.0
+            top = 0.0
             for segment in pathway.segments:
-                if not len(segment.samples):
+                if not len(segment.by_stamps):
                     continue
                 shown.append(segment.name)
-                thin = max(1, len(segment.samples) // 3000)
-                at, value = segment.at[::thin] - start, 1e3 * segment.samples[::thin]
+                thin = max(1, len(segment.by_stamps) // 3000)
+                at, value = segment.at[::thin] - start, 1e3 * segment.by_stamps[::thin]
                 axes.plot(at, value, ".", color=style.SERIES[names.index(segment.name)], markersize=3.0, alpha=0.6)
-                bottom = min(bottom, 1.3 * float(np.quantile(value, 0.02)))
                 top = max(top, 1.3 * float(np.quantile(value, 0.98)))
             axes.set_xlim(0.0, max(float(latencies.time[-1]) - start, 1e-3))
-            axes.set_ylim(bottom, max(top, 1.0))
+            axes.set_ylim(0.0, max(top, 1.0))
             make_room(axes)
             bands(axes, latencies.time - start, latencies.behavior, label=False)
     handles = [style.sample(name, style.SERIES[names.index(name)], 0.0, marker=".") for name in dict.fromkeys(shown)]

@@ -9,6 +9,7 @@ import csv
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,7 @@ def plot(usage: Mapping[str, Usage], behavior: tuple[FloatArray, npt.NDArray[np.
     above, below = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     style.quiet(above, "processor", "", "[% of one core]")
     style.quiet(below, "memory", "time [s]", "resident [MiB]")
-    for (name, one), color in zip(usage.items(), style.SERIES, strict=False):
+    for (name, one), color in zip(usage.items(), cycle((*style.SERIES, style.GREY)), strict=False):
         above.plot(one.time, one.cpu, color=color, linewidth=1.0, label=name)
         below.plot(one.time, one.memory, color=color, linewidth=1.4, label=name)
     seconds = max((float(one.time[-1]) for one in usage.values() if one.time.size), default=0.0)

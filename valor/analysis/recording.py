@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ class Posture:
     pelvis_position: FloatArray  # (3,) [m]
     pelvis_orientation: FloatArray  # (4,) (w, x, y, z)
     joint_position: FloatArray  # (n,) [rad]
+    fixture_position: FloatArray = field(default_factory=lambda: np.zeros(0))  # of the world's joints, if known [rad]
 
 
 class Recording:

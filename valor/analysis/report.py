@@ -4,11 +4,24 @@ repository (``report_markdown``). Those say how it looks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from valor.analysis.results import Measure, Picture, Result, Table
 
+SUMMARY = (
+    "VRC processor, mean",
+    "Motion System processor, mean",
+    "Bifrost, mean",
+    "ROS 2 (rclpy, Fast DDS), mean",
+    "mode change, hardware",
+    "joint command, hardware",
+    "arm joint at rest from its goal, largest",
+    "by the floating base, largest at a pose",
+    "by the floating base where the CoM goes with the arm, largest at a pose",
+    "real arms: from the goal at rest, largest",
+)
+"""The ten numbers that a report begins with."""
 TITLE = "Chapter 5, measured again"
 INTRODUCTION = (
     "The numerical results of the thesis from which this system was built, repeated on it: each number beside the one "
@@ -52,6 +65,13 @@ def grid_of_table(table: Table) -> Grid:
     """A table as it is written."""
     columns = range(len(table.columns))
     return Grid(table.columns, table.rows, frozenset(i for i in columns if not table.is_text(i)))
+
+
+def summary(results: Iterable[Result | None]) -> Grid:
+    """What a reader takes along who reads no further, as far as it was measured."""
+    found = {one.name: one for result in results if result is not None for one in result.measures}
+    rows = [(one.name, _number(one.value), one.unit, one.thesis or "–") for name in SUMMARY if (one := found.get(name))]
+    return Grid(("in short", "here", "unit", "thesis"), rows, frozenset({1}))
 
 
 def caption(picture: Picture) -> str:

@@ -41,7 +41,16 @@ code { background: var(--soft); padding: .1rem .35rem; border-radius: .25rem; fo
 .warning { background: #fdf3df; border-left: 4px solid #e69f00; padding: .5rem .9rem; margin: .8rem 0; }
 @media print { body { max-width: none; padding: 0; } h2 { break-before: page; border: 0; }
                figure, table { break-inside: avoid; } }
-@media (max-width: 40rem) { table { display: block; overflow-x: auto; } }
+.summary td:nth-child(2) { font-weight: bold; }
+@media (max-width: 40rem) {
+  body { padding: 1.2rem .9rem 3rem; } h1 { font-size: 1.5rem; } code { overflow-wrap: anywhere; }
+  table { display: block; overflow-x: auto; font-size: .82rem; }
+  .measures, .measures tr { display: block; } .measures tr:first-child { display: none; }
+  .measures td, .measures td.number { display: inline; width: auto; padding: 0 .4rem 0 0; border: 0; }
+  .measures tr { padding: .5rem 0; border-bottom: 1px solid var(--line); }
+  .measures td:nth-child(4)::before { content: "thesis: "; } .measures td:nth-child(5) { display: block; }
+  figure { overflow-x: auto; } figure img { width: max(100%, 40rem); }
+}
 """
 
 
@@ -54,13 +63,16 @@ def write(chapters: Sequence[Chapter], file: Path) -> Path:
     )
     command = command_for_all(chapters)
     again = f'<p class="quiet">{report.ALL_AGAIN} <code>{_text(command)}</code>.</p>' if command else ""
+    summary = report.summary(chapter.result for chapter in chapters)
+    short = _grid(summary, "summary") if summary.rows else ""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(
         "<!doctype html>\n"
-        f'<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        '<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{report.TITLE}</title><style>{_STYLE}</style></head><body>"
         f"<h1>{report.TITLE}</h1><p>{report.INTRODUCTION}</p>"
-        f"<nav>{links}</nav>{again}{''.join(_section(chapter) for chapter in chapters)}</body></html>\n"
+        f"{short}<nav>{links}</nav>{again}{''.join(_section(chapter) for chapter in chapters)}</body></html>\n"
     )
     return file
 

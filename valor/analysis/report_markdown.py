@@ -24,6 +24,8 @@ def write(chapters: Sequence[Chapter], folder: Path) -> Path:
     """
     command = command_for_all(chapters)
     parts = [f"# {report.TITLE}", report.INTRODUCTION, *([f"{report.ALL_AGAIN}\n\n    {command}"] if command else [])]
+    summary = report.summary(chapter.result for chapter in chapters)
+    parts += [_grid(summary)] if summary.rows else []
     for chapter in chapters:
         parts += _section(chapter)
     try:

@@ -23,6 +23,7 @@ FAILED = "#b55a52"  # what is not there
 _FONT = "DejaVu"
 _FONTS = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
 _MEASURE_WIDTHS = (30, 9, 12, 17, 32)  # shares of the width
+_SUMMARY_WIDTHS = (50, 14, 10, 26)
 _HEAD = FontFace(emphasis="", color=GREY)
 
 
@@ -76,8 +77,12 @@ def write(chapters: Sequence[Chapter], file: Path) -> Path:
     pages.ln(2.0)
     if command := command_for_all(chapters):
         pages.word(f"{report.ALL_AGAIN} {command}", SMALL, GREY)
+    summary = report.summary(chapter.result for chapter in chapters)
+    if summary.rows:
+        pages.ln(3.0)
+        pages.cells(summary, _SUMMARY_WIDTHS)
     for i, chapter in enumerate(chapters):
-        if i:
+        if i or summary.rows:
             pages.add_page()
         _section(pages, chapter)
     file.parent.mkdir(parents=True, exist_ok=True)

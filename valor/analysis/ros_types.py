@@ -7,8 +7,8 @@ from typing import Any
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
-from valor.analysis.stored import StoredTopic
 from valor.bags.errors import BagError
+from valor.bags.stored import StoredTopic
 
 
 class Types:

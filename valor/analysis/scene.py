@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from PIL import Image as Pillow
 
+from valor.analysis import ground_tiles
+from valor.analysis.marks import Mark
 from valor.analysis.offscreen import Image, Offscreen
 from valor.analysis.recording import Posture
 from valor.common.arrays import FloatArray
@@ -16,15 +20,30 @@ from valor.simulation import worlds
 
 _EXTENT = 2.0  # of what is looked at, whatever the world's: haze, shadows and clipping follow it [m]
 _SUN = (2.5, -1.7, 3.5)  # from where it shines, seen from below the point looked at [m]
-_SUPERSAMPLING = 2  # drawn this much larger, then averaged: edges without steps
 
 
-def scene_spec(robot: RobotDescription, width: int, height: int, world: str, seed: int) -> mujoco.MjSpec:
+@dataclass(frozen=True)
+class Quality:
+    """How much work an image is."""
+
+    larger: float  # it is drawn this much larger, then averaged: edges without steps
+    shadow: int  # of the shadows' map [pixels]
+    slices: int  # of what is round
+
+
+STILL = Quality(larger=2.0, shadow=8192, slices=28)
+MOVING = Quality(larger=1.3, shadow=1024, slices=16)
+SMALL = Quality(larger=2.0, shadow=2048, slices=16)  # of which a pixel shows more
+
+
+def scene_spec(
+    robot: RobotDescription, size: tuple[int, int], world: str, seed: int, quality: Quality = STILL
+) -> mujoco.MjSpec:
     """The robot and its world in a studio: plain sky, one sun with shadows and a fill."""
     spec = robot_spec(robot, "all")
-    spec.visual.global_.offwidth = width
-    spec.visual.global_.offheight = height
-    spec.visual.quality.shadowsize = 8192
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    spec.visual.quality.shadowsize = quality.shadow
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = quality.slices, max(8, quality.slices // 2)
     spec.visual.quality.offsamples = 0  # drawn larger instead
     spec.visual.map.shadowclip = 1.6
     spec.visual.headlight.ambient[:] = 0.32
@@ -32,6 +51,7 @@ def scene_spec(robot: RobotDescription, width: int, height: int, world: str, see
     spec.visual.headlight.specular[:] = 0.05
     spec.visual.rgba.haze[:] = (0.93, 0.94, 0.96, 1.0)
     spec.visual.map.haze = 0.4
+    spec.visual.map.alpha = 0.45
     spec.add_texture(
         name="studio_sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -42,7 +62,9 @@ def scene_spec(robot: RobotDescription, width: int, height: int, world: str, see
         height=1536,
     )
     spec.stat.extent = _EXTENT
-    spec.attach(worlds.load(world, seed), frame=spec.worldbody.add_frame(), prefix="world/")
+    ground = worlds.load(world, seed, worlds.size_of(robot))
+    ground_tiles.split(ground)
+    spec.attach(ground, frame=spec.worldbody.add_frame(), prefix=worlds.PREFIX)
     spec.worldbody.add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -71,6 +93,7 @@ class Scene:
         width, height: of the images [pixels].
         world: where it stands.
         seed: of the world.
+        quality: how much work an image is.
         add: what else is drawn: adds it to the scene before that is compiled.
 
     Raises:
@@ -86,14 +109,17 @@ class Scene:
         world: str = "flat",
         seed: int = 0,
         *,
+        quality: Quality = STILL,
         add: Callable[[mujoco.MjSpec], None] | None = None,
     ) -> None:
-        large = (width * _SUPERSAMPLING, height * _SUPERSAMPLING)
-        spec = scene_spec(robot, *large, world, seed)
+        self._size = (width, height)
+        large = (round(width * quality.larger), round(height * quality.larger))
+        spec = scene_spec(robot, large, world, seed, quality)
         if add is not None:
             add(spec)
         self._model = Model(robot, spec.compile())
         self._data = mujoco.MjData(self._model.mj)
+        self._fixtures = worlds.joints(self._model.mj)
         self._offscreen = Offscreen(self._model.mj, *large)
         self._camera = mujoco.MjvCamera()
         self._sun = self._model.mj.light("sun").id
@@ -114,18 +140,18 @@ class Scene:
         # MuJoCo draws shadows near the lamp alone.
         self._model.mj.light_pos[self._sun] = (*(point[:2] + _SUN[:2]), _SUN[2])
         self._camera.azimuth, self._camera.elevation, self._camera.distance = azimuth, elevation, distance
+        ground_tiles.show(self._model.mj, point, azimuth)
 
-    def draw(self, posture: Posture) -> Image:
-        """(height, width, 3) the robot in a posture."""
+    def draw(self, posture: Posture, marks: Iterable[Mark] = ()) -> Image:
+        """(height, width, 3) the robot in a posture, and marks about it."""
         data, model = self._data, self._model
         data.qpos[:3] = posture.pelvis_position
         data.qpos[3:7] = posture.pelvis_orientation
         data.qpos[model.qpos] = posture.joint_position[model.joint_indices]
+        if posture.fixture_position.size == self._fixtures.size:
+            data.qpos[self._fixtures] = posture.fixture_position
         mujoco.mj_kinematics(model.mj, data)
         mujoco.mj_comPos(model.mj, data)
         mujoco.mj_camlight(model.mj, data)
-        image = self._offscreen.render(data, self._camera)
-        h, w = image.shape[0] // _SUPERSAMPLING, image.shape[1] // _SUPERSAMPLING
-        blocks = image.reshape(h, _SUPERSAMPLING, w, _SUPERSAMPLING, 3)
-        averaged: Image = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
-        return averaged
+        image = self._offscreen.render(data, self._camera, marks)
+        return np.asarray(Pillow.fromarray(image).resize(self._size, Pillow.Resampling.BOX))

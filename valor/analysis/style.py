@@ -1,4 +1,12 @@
-"""How our figures look: quiet axes, colors that everybody can tell apart, no global state."""
+"""How our figures look: one palette and one grammar for all, no global state.
+
+Colors mean the same everywhere, and are Okabe and Ito's, which everybody can tell apart: what is wanted is ink, what a
+client or the VRC asks for green, what is commanded blue, what is measured vermilion; left is blue, right vermilion;
+x, y, z are the first three of ``SERIES``. Dashes are what was planned or believed. The title says what is seen, the
+line below it the result; the legend has a row of its own, never over either. Every axis has its unit; centimetres are
+not drawn on a scale of metres. Bands below a plot are behaviors (``bands.py``); ground has colors of earth
+(``GROUND``), never of water. Seen from above, x is to the right, and arrows say where something heads.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +16,18 @@ from typing import Any
 from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from valor.common import colors
 from valor.common.arrays import FloatArray
 
 INK, GREY, LIGHT = "#22272e", "#6b7480", "#dde1e6"
-REFERENCE, COMMAND, MEASURED = "#22272e", "#0072b2", "#d55e00"  # Okabe and Ito's colors
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#22272e", "#8c6d46")
-LEFT, RIGHT = SERIES[:2]  # of feet, soles and knees
+REFERENCE, SETPOINT, COMMAND, MEASURED = "#22272e", "#009e73", "#0072b2", "#d55e00"
+LEFT, RIGHT = colors.LEFT, colors.RIGHT  # of feet, soles and knees
+SERIES = (LEFT, RIGHT, "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#22272e", "#8c6d46")
+GROUND = LinearSegmentedColormap.from_list("ground", ("#6e5238", "#b59a7c", "#f3ece2"))  # low to high
 DASHES = (0, (2, 2))  # of what was planned or believed
 FONT = "DejaVu Sans"
 POINTS = 4000  # drawn of a curve
@@ -66,6 +77,12 @@ def legend(target: Any, handles: list[Any], **where: Any) -> None:
     made = target.legend(handles=handles, frameon=False, fontsize=9, labelcolor=INK, **where)
     for text in made.get_texts():
         text.set_fontproperties(font_manager.FontProperties(family=FONT, size=9))
+
+
+def key(figure: Figure, handles: list[Any], left: float = 0.005) -> None:
+    """A legend in a row of its own below a figure's heading."""
+    top = 1.0 - 0.66 / figure.get_figheight()
+    legend(figure, handles, loc="upper left", bbox_to_anchor=(left, top), ncols=len(handles))
 
 
 def legend_above(axes: Axes, columns: int, top: float) -> None:

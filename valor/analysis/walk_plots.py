@@ -68,7 +68,7 @@ def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
     height = 1.25 + rows * row_height + 0.3
     figure = style.figure(width, height)
     grid = figure.add_gridspec(
-        rows, 1, left=0.05, right=0.90, bottom=0.48 / height, top=1.0 - 0.95 / height, hspace=0.28 / row_height
+        rows, 1, left=0.06, right=0.89, bottom=0.48 / height, top=1.0 - 0.95 / height, hspace=0.28 / row_height
     )
     for row in range(rows):
         axes = figure.add_subplot(grid[row])
@@ -82,7 +82,7 @@ def path(bag: Bag | Path, robot: RobotDescription, out: Path) -> list[Path]:
         axes.set_xlim(begin, begin + length)
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal")
-    bar = figure.colorbar(shown, cax=figure.add_axes((0.92, 0.48 / height, 0.012, 1.0 - 1.43 / height)))
+    bar = figure.colorbar(shown, cax=figure.add_axes((0.91, 0.48 / height, 0.012, 1.0 - 1.43 / height)))
     bar.set_label("height of the ground [cm]", fontsize=9, color=style.GREY)
     bar.ax.tick_params(colors=style.GREY, labelsize=8)
     bar.outline.set_visible(False)
@@ -99,15 +99,15 @@ class _Ground:
     def __init__(self, recording: Recording, low: FloatArray, high: FloatArray) -> None:
         """From a corner to the opposite one, (2,) in world [m]."""
         x, y = np.arange(low[0], high[0], GRID), np.arange(low[1], high[1], GRID)
-        self._heights = worlds.heights(*recording.world, x, y)
+        self._heights = worlds.heights(*recording.world, x, y, worlds.size_of(recording.robot))
         self._extent = (x[0], x[-1], y[0], y[-1])
         self._scale = 100.0 * max(0.02, float(np.abs(self._heights).max()))  # [cm]
 
     def draw(self, axes: Axes) -> AxesImage:
         axes.grid(False)
         return axes.imshow(
-            100.0 * self._heights, extent=self._extent, origin="lower", cmap="BrBG_r", vmin=-self._scale,
-            vmax=self._scale, alpha=0.75, interpolation="bilinear",
+            100.0 * self._heights, extent=self._extent, origin="lower", cmap=style.GROUND, vmin=-self._scale,
+            vmax=self._scale, interpolation="bilinear",
         )  # fmt: skip
 
 
@@ -159,11 +159,14 @@ def _whole_walk(errors: Axes, forces: Axes, walk: Track, at: FloatArray) -> None
     beside = 1e3 * np.linalg.norm(walk.dcm_error[:, :2], axis=1)
     mean = each(np.mean, beside)
     style.quiet(errors, "DCM from its reference, mean and largest of each second", "", "[mm]")
-    errors.fill_between(seconds + 0.5, mean, each(np.max, beside), color=style.COMMAND, alpha=0.25, linewidth=0)
-    style.curve(errors, seconds + 0.5, mean, style.COMMAND, 1.6)
+    errors.fill_between(seconds + 0.5, mean, each(np.max, beside), color=style.COMMAND, alpha=0.25, linewidth=0,
+                        label="up to the largest")  # fmt: skip
+    style.curve(errors, seconds + 0.5, mean, style.COMMAND, 1.6, label="mean")
+    style.legend_above(errors, 2, 1.28)
     style.quiet(forces, "largest vertical force under each foot in each second", _TIME, "[N]")
-    for foot, color in enumerate((style.LEFT, style.RIGHT)):
-        style.curve(forces, seconds + 0.5, each(np.max, walk.measured_force[:, foot]), color, 1.3)
+    for foot, (name, color) in enumerate((("left", style.LEFT), ("right", style.RIGHT))):
+        style.curve(forces, seconds + 0.5, each(np.max, walk.measured_force[:, foot]), color, 1.3, label=name)
+    style.legend_above(forces, 2, 1.28)
     for axes in (errors, forces):
         axes.set_xlim(0.0, at[-1])
         axes.set_ylim(bottom=0.0)

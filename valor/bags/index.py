@@ -18,7 +18,6 @@ from mcap.summary import Summary
 
 from valor.bags.errors import BagError
 
-EVENT = "event"  # name of the metadata record of something that happened: what, stamp_ns, reason
 _RECORD_HEAD = 9  # of a record: opcode and length [B]
 _CHUNKS = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX)  # left out: thousands an hour, that nobody asks for here
 

@@ -15,8 +15,9 @@ from typing import Any
 import yaml
 
 from valor.bags.errors import BagError
+from valor.bags.event import EVENT, Event
 from valor.bags.files import SUFFIX, is_own_folder
-from valor.bags.index import EVENT, BagIndex, read_index, read_metadata
+from valor.bags.index import BagIndex, read_index, read_metadata
 from valor.common import whole_file
 
 FILE = "metadata.yaml"
@@ -98,9 +99,11 @@ def _events(found: list[tuple[Path, BagIndex]]) -> dict[str, str] | None:
     events = {}
     for file, index in found:
         for record in read_metadata(file, index, EVENT):
-            with contextlib.suppress(KeyError, ValueError, OverflowError):  # another program's record of that name
-                when = datetime.fromtimestamp(int(record["stamp_ns"]) * 1e-9).astimezone()
-                events[when.isoformat(timespec="milliseconds")] = f"{record['what']}: {record['reason']}"
+            if (event := Event.of(record)) is None:
+                continue
+            with contextlib.suppress(ValueError, OverflowError):  # a time that no calendar has
+                when = datetime.fromtimestamp(event.stamp * 1e-9).astimezone()
+                events[when.isoformat(timespec="milliseconds")] = event.text
     return events or None
 
 

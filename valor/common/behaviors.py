@@ -160,6 +160,15 @@ def requested_by(origin: str) -> str:
     return _REQUESTED_BY + origin
 
 
+class Obstacle(StrEnum):
+    """What a request for a behavior is refused for, as ``BehaviorReply`` says it."""
+
+    NONE = ""  # it is not
+    TRANSITION = "transition"  # the table leads there from elsewhere only
+    CONDITION = "condition"  # the robot is not fit for it now
+    WAIT = "wait"  # it will be, by itself: ask again
+
+
 def requester(reason: str) -> str:
     """The node that asked for a change of behavior, by the change's reason; empty: nobody did, it came by itself."""
     return reason.removeprefix(_REQUESTED_BY) if reason.startswith(_REQUESTED_BY) else ""

@@ -69,7 +69,9 @@ def processes() -> str:
         (
             (
                 f"`{each.name}`",
-                each.description + ("; hardware only" if each.hardware_only else ""),
+                each.description
+                + ("; hardware only" if each.hardware_only else "")
+                + (f"; `up {each.option}`" if each.option else ""),
                 _names((*each.needs, *each.after)),
                 f"{each.cpu_budget:g}",
                 f"{each.memory_budget:g}",

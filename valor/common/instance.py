@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,14 +18,36 @@ from msgspec import Meta, field
 from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError
 from valor.common.resources import middleware_profile
-from valor.common.table import Table, checked, plain
+from valor.common.table import Table, TableError, checked, plain
 
 DEFAULT_NAME = "default"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+_TOKEN = r"[A-Za-z](?:_?[A-Za-z0-9])*"  # of a ROS name that is not hidden
+_NAMESPACE = re.compile(rf"{_TOKEN}(?:/{_TOKEN})*")
+_LONGEST_NAMESPACE = 64  # a topic's whole name is bounded by the middleware: 255
+_BAG = "bifrost"  # where bags have the Motion System's messages
 
 ClockMode = Literal["lockstep", "realtime"]
 Variant = Literal["simulation", "hardware"]
 RosCommands = Literal["all", "none"]
+
+
+def ros_namespace(text: str) -> str:
+    """A namespace as the settings hold it: without the slash that it may begin with; empty: none.
+
+    Raises:
+        ConfigurationError: it is none.
+    """
+    name = text.removeprefix("/")
+    if not name:
+        return ""
+    if not _NAMESPACE.fullmatch(name) or len(name) > _LONGEST_NAMESPACE or name.split("/")[0] == _BAG:
+        shown = text if len(text) <= _LONGEST_NAMESPACE else f"{text[:_LONGEST_NAMESPACE]}…"
+        raise ConfigurationError(
+            f"namespace {shown!r}: expected letters, digits and single _ in words that begin with a letter, "
+            f"/ between them, at most {_LONGEST_NAMESPACE}, and not {_BAG!r} first: escher1, lab/escher1"
+        )
+    return name
 
 
 class Recording(Table):
@@ -37,6 +60,41 @@ class Recording(Table):
     split_seconds: Annotated[float, Meta(ge=1.0)] | None = None  # [s]
     ring_seconds: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
     bounds: Bounds = Bounds()  # of all recordings in the instance's folder
+
+
+FOXGLOVE_PORT = 8765  # where its app looks by itself
+
+
+class Listening(Table):
+    """Where a process listens for others' programs."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65535)] = 0  # 0: any that is free
+
+
+class Host(Table, kw_only=True):
+    """A computer of an instance that runs on several."""
+
+    name: str
+    address: str  # that all of it listens on there
+    processes: tuple[str, ...] = ()  # that run there, besides bifrostd
+    operator: bool = False  # in the operator's network, which the link alone joins with the robot's
+
+
+WhenLost = Literal["go_on", "stop"]
+
+
+class Link(Table):
+    """The operator's ROS network behind a link of its own (docs/link.md)."""
+
+    domain: Annotated[int, Meta(ge=0, le=232)] | None = None  # the operator's ROS domain; None: there is no link
+    when_lost: WhenLost = "go_on"  # what the robot does when the operator's end is not heard
+    lost_after: Annotated[float, Meta(gt=0.0)] = 10.0  # [s]
+    listen: str = "127.0.0.1"  # where the robot's end listens
+    robot: str = "127.0.0.1"  # by which address the operator's end reaches it
+    # UDP ports by which the operator's end reaches the robot's; 0: the robot end's own.
+    slow: Annotated[int, Meta(ge=0, le=65535)] = 0
+    fast: Annotated[int, Meta(ge=0, le=65535)] = 0
 
 
 class Settings(Table, kw_only=True):
@@ -53,11 +111,57 @@ class Settings(Table, kw_only=True):
     seed: int = 0
     world: str = "flat"
     real_time_factor: float = 1.0  # lockstep is paced to this; 0: as fast as it goes
+    wait_for_vrc: bool = True  # in lockstep robot time waits for the Valor ROS Controller's cycles, bounded
     ros_domain_id: int
+    port_block: int = 0  # a number in ROS domains' range, with it ports, that is this instance's alone; 0: the domain's
+    namespace: str = ""  # of all ROS nodes, and of the robot's frames; empty: none
+    peers: tuple[str, ...] = ()  # other computers that ROS 2 reaches; none: it stays on this one
+    deployment: str = ""  # whose hosts it runs on; empty: this computer alone
+    hosts: tuple[Host, ...] = ()  # of the deployment
+    here: str = ""  # which of them this is
     ros_commands: RosCommands = "all"  # whose commands on ROS 2 are obeyed: there nobody proves who they are
     epoch: int = 0  # when robot time is 0 on hardware, monotonic [ns]
     bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
     recording: Recording = Recording()
+    asked: tuple[str, ...] = ()  # processes that run because an option asks for them
+    foxglove: Listening = Listening(port=FOXGLOVE_PORT)
+    link: Link = Link()
+
+    def __post_init__(self) -> None:
+        if self.namespace != ros_namespace(self.namespace):
+            raise TableError(("namespace",), f"got {self.namespace!r}; expected {ros_namespace(self.namespace)!r}")
+
+    @property
+    def block(self) -> int:
+        """The number of the ports that are this instance's alone."""
+        return self.port_block or self.ros_domain_id
+
+    def beside(self, host: str) -> tuple[Host, ...]:
+        """The hosts of a host's network, itself included: where there is a link, the robot's or the operator's."""
+        operator = any(each.operator for each in self.hosts if each.name == host)
+        return tuple(each for each in self.hosts if each.operator == operator)
+
+    def processes_beyond(self, host: str) -> tuple[str, ...]:
+        """Processes of which a host hears nothing, for the link is between them."""
+        near = {each.name for each in self.beside(host)}
+        return tuple(name for each in self.hosts if each.name not in near for name in each.processes)
+
+    def processes_here(self, processes: Sequence[str]) -> tuple[str, ...]:
+        """Of all processes of the instance, those that run on this computer."""
+        own = next((host.processes for host in self.hosts if host.name == self.here), None)
+        return tuple(name for name in processes if own is None or name in own)
+
+    @property
+    def frame_prefix(self) -> str:
+        """What the names of the robot's frames in tf begin with."""
+        return f"{self.namespace}/" if self.namespace else ""
+
+    @property
+    def ros_arguments(self) -> tuple[str, ...]:
+        """What puts a program's nodes into the namespace, where robot time is another than of other robots."""
+        if not self.namespace:
+            return ()
+        return ("--ros-args", "-r", f"__ns:=/{self.namespace}", "-r", f"/clock:=/{self.namespace}/clock", "--")
 
     @property
     def paced(self) -> bool:
@@ -118,9 +222,29 @@ class Instance:
         return self.folder / "logs"
 
     @property
+    def operator_token(self) -> Path:
+        """The file with the word by which a viewer of the page becomes its operator; another at each ``up``."""
+        return self.folder / "operator.token"
+
+    @property
+    def viewer_token(self) -> Path:
+        """The file with the word by which the page may be seen from another computer; another at each ``up``."""
+        return self.folder / "viewer.token"
+
+    @property
+    def viewing_file(self) -> Path:
+        """Where the page is served: written by whoever starts it."""
+        return self.folder / "viewing.json"
+
+    @property
     def ports(self) -> Path:
         """Where device emulators put their serial ports: one link a device."""
         return self.folder / "ports"
+
+    @property
+    def middleware_file(self) -> Path:
+        """Fast DDS' configuration of an instance that has peers."""
+        return self.folder / "fastdds.xml"
 
     @property
     def behavior_file(self) -> Path:
@@ -160,15 +284,16 @@ class Instance:
 
     def environment(self) -> dict[str, str]:
         """The variables with which any process joins the instance."""
+        settings = self.settings()
         return {
             "VALOR_HOME": str(self.folder.parent),
             "VALOR_INSTANCE": self.name,
             "BIFROST_NETWORK": str(self.network_file),
             "BIFROST_KEYS": str(self.keys),
-            "ROS_DOMAIN_ID": str(self.settings().ros_domain_id),
+            "ROS_DOMAIN_ID": str(settings.ros_domain_id),
             # The range LOCALHOST would bring shared memory back whatever the built-in transports are said to be, and
             # with it 1.6 s until a topic is discovered, where loopback UDP alone takes milliseconds.
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(middleware_profile()),
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(self.middleware_file if settings.peers else middleware_profile()),
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         }

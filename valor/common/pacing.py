@@ -54,6 +54,10 @@ class Pacer:
         self.end = 0.0
         self.slip = 0.0
 
+    def begin_anew(self, rate: float) -> None:
+        """Keep another schedule from now on, robot time to wall time; what passed meanwhile is nowhere late."""
+        self._rate, self._due, self._passed = rate, None, -math.inf
+
     def pass_time(self, duration: float, at_least_real_time: bool = False) -> float:
         """Let a duration of robot time pass: sleep until its end is due. Returns the time slept [s].
 

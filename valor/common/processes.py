@@ -12,6 +12,10 @@ from typing import Literal
 
 DAEMON = "bifrostd"
 RECORDER = "bag_recorder"
+FOXGLOVE = "foxglove_bridge"
+OPERATOR_STOP = "operator_stop"
+VIEW = "--view"
+LINK = "--link"
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the process again
 
 Cores = Literal["own", "others", "any"]
@@ -35,6 +39,7 @@ class Process:
     cores: Cores = "others"  # in a simulation in real time: the last core as its own, the others, or any of them
     turns: Turns = "usual"  # on a core, where robot time is kept to the wall's (priority.py)
     spokesmen: tuple[str, ...] = ()  # who may publish its Statistics, too
+    option: str = ""  # of `up`, which asks for it; empty: there where no profile names others
 
     @property
     def module(self) -> str:
@@ -59,6 +64,11 @@ PROCESSES: tuple[Process, ...] = (
     Process("valor_ros_controller", "robot controller; ROS 2 to Bifrost",     50.0,  160.0, priority=-5),
     Process("footstep_converter",   "footstep plans to the Motion System",    10.0,  130.0),
     Process(RECORDER,               "Bifrost and ROS messages in one bag",    50.0,  200.0, stop_timeout=10.0, turns="background"),
+    Process(OPERATOR_STOP,          "the stop button of the operator's page", 5.0,    90.0, priority=-5, option=VIEW),
+    Process("operator_station",     "the page to see and drive the robot",    20.0,  300.0, turns="background", option=VIEW),
+    Process("link_robot",           "robot's end of the link to the operator", 25.0, 130.0, option=LINK),
+    Process("link_operator",        "operator's end of it, in his ROS domain", 25.0, 130.0, option=LINK),
+    Process(FOXGLOVE,               "ROS topics and a scene, for Foxglove",   20.0,  150.0, turns="background", option="--foxglove"),
 )
 # fmt: on
 

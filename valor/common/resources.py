@@ -21,6 +21,16 @@ def robots() -> list[str]:
     return sorted(file.parent.name for file in (_ROOT / "robots").glob("*/robot.yaml"))
 
 
+def deployments() -> list[str]:
+    """Names of our deployments."""
+    return sorted(file.stem for file in (_ROOT / "deploy" / "hosts").glob("*.yaml"))
+
+
+def deployment_file(name: str) -> Path:
+    """The file of one of our deployments, by its name."""
+    return _ROOT / "deploy" / "hosts" / f"{name}.yaml"
+
+
 def profiles() -> list[str]:
     """Names of our profiles."""
     return sorted(file.stem for file in (_ROOT / "deploy").glob("*.yaml"))

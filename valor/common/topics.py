@@ -18,6 +18,7 @@ from valor.common.errors import ConfigurationError
 from valor.common.floods import COMMANDS, REQUESTS, STREAM
 from valor.common.processes import DAEMON, PROCESSES
 
+PAUSED = "paused"  # ClockStatus.mode of a simulation whose time stands
 CONTROL_RATE = 0.0  # stands for the robot's control rate in the ``rate`` column
 
 M = TypeVar("M", bound=Message)
@@ -115,14 +116,15 @@ JOINT_GAINS     = Topic("motion_manager/joint_gains",        m.JointGains,      
 BALANCE_WEIGHTS = Topic("motion_manager/balance_weights",    m.BalanceWeights,    _VRC,    None,         1, "weights of the tasks", queue=4)
 DEVICES         = Topic("comms_manager/devices",             m.DeviceStatus,      _COMMS,  None,         1, "state of every device; hardware only")
 CONTROL_MODE    = Topic("valor_ros_controller/control_mode", m.ControlModeReport, _VRC,    10.0,         1, "the VRC's control mode", latched=True)
+CYCLE           = Topic("valor_ros_controller/cycle",        m.ControllerCycle,   _VRC,    None,         0, "a cycle of the VRC is done")
 GROUND_TRUTH    = Topic("simulation/ground_truth",           m.GroundTruth,       _COMMS,  100.0,        1, "the simulator's truth; no controller may read it", (_EMULATORS,))
 
 HDT_COMMANDS = {
-    limb: Topic(f"comms_manager/hdt/{limb}/command", m.HdtCommand, _COMMS, None, 0, "joint impedance of an HDT limb; hardware only")
+    limb: Topic(f"comms_manager/hdt/{limb}/command", m.HdtCommand, _COMMS, None, 1, "joint impedance of an HDT limb; hardware only")
     for limb in ("left_arm", "right_arm", "left_hand", "right_hand")
 }
 HDT_STATES = {
-    limb: Topic(f"comms_manager/hdt/{limb}/state", m.HdtState, _HDT_BRIDGE, None, 0, "what an HDT limb's driver says; hardware only")
+    limb: Topic(f"comms_manager/hdt/{limb}/state", m.HdtState, _HDT_BRIDGE, None, 1, "what an HDT limb's driver says; hardware only")
     for limb in HDT_COMMANDS
 }
 STATISTICS = {
@@ -139,9 +141,11 @@ TOPICS: tuple[Topic[Any], ...] = (
 BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,     m.BehaviorReply,     _MOTION, "go to a behavior")
 STOP          = ServiceTopic("comms_manager/stop",           m.BehaviorRequest,     m.BehaviorReply,     _COMMS,  "fall, soft_stop or freeze, while no Motion Manager leads the robot")
 FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest, m.FootstepPlanReply, _MOTION, "execute, update or stop a footstep plan")
-PUSH          = ServiceTopic("simulation/push",              m.PushRequest,         m.PushReply,         _COMMS,  "push the chest; simulation only", (_EMULATORS,))
+PUSH          = ServiceTopic("simulation/push",              m.PushRequest,         m.PushReply,         _COMMS,  "push a body of the robot; simulation only", (_EMULATORS,))
+SIMULATED_TIME = ServiceTopic("simulation/time",             m.TimeRequest,         m.TimeReply,         _COMMS,  "pause, step, slow down; simulation without devices only")
 FAULT         = ServiceTopic("simulation/fault",             m.FaultRequest,        m.FaultReply,        _EMULATORS, "let an emulated device fail; hardware without a robot only")
 SNAP          = ServiceTopic("bag_recorder/snap",            m.SnapRequest,         m.SnapReply,         _RECORDER, "save the last seconds that the recorder holds")
+MARK          = ServiceTopic("bag_recorder/mark",            m.MarkRequest,         m.MarkReply,         _RECORDER, "note a moment in the recording, with a text")
 # fmt: on
 
 SERVICE_TOPICS: tuple[ServiceTopic[Any, Any], ...] = tuple(

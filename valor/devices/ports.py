@@ -52,11 +52,11 @@ def open_can(
             return can.Bus(
                 interface=interface, channel=channel, can_filters=filters, fd=True, data_bitrate=data_bit_rate
             )
-        domain = settings.ros_domain_id
+        block = settings.block
         opened = can.Bus(
             interface="udp_multicast",
-            channel=f"239.255.{domain}.{bus}",
-            port=_FIRST_PORT + _BUSES * domain + bus,
+            channel=f"239.255.{block}.{bus}",
+            port=_FIRST_PORT + _BUSES * block + bus,
             hop_limit=0,
             fd=True,
         )

@@ -17,9 +17,11 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.common.turns import about
 from valor.planning.sides import Sides
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.model import Model
+from valor.robot.quaternion import matrix
 
 Expression = Any  # casadi.SX; the library is not typed
 BASE = 3  # coordinates of the pelvis: x [m], z [m], pitch [rad]
@@ -97,13 +99,13 @@ class SagittalPosture:
             first = mj.body_jntadr[body]
             if first >= 0 and mj.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
                 position = ca.vertcat(coordinates[0], 0.0, coordinates[1])
-                rotation = _turn(np.array([0.0, 1.0, 0.0]), coordinates[2])
+                rotation = about(np.array([0.0, 1.0, 0.0]), coordinates[2])
             else:
                 position = position + rotation @ mj.body_pos[body]
-                rotation = rotation @ _matrix(mj.body_quat[body])
+                rotation = rotation @ matrix(mj.body_quat[body])
                 for joint in range(first, first + mj.body_jntnum[body]):
                     anchor = mj.jnt_pos[joint]
-                    turned = rotation @ _turn(mj.jnt_axis[joint], angles.get(mj.joint(joint).name, 0.0))
+                    turned = rotation @ about(mj.jnt_axis[joint], angles.get(mj.joint(joint).name, 0.0))
                     position = position + (rotation - turned) @ anchor
                     rotation = turned
             frames.append((position, rotation))
@@ -126,7 +128,7 @@ class SagittalPosture:
             if right or not (mj.geom_contype[geom] or mj.geom_conaffinity[geom]):
                 continue
             points, radius = ends(mj, geom)
-            points = points @ _matrix(mj.geom_quat[geom]).T + mj.geom_pos[geom]
+            points = points @ matrix(mj.geom_quat[geom]).T + mj.geom_pos[geom]
             out.append(Ends(int(mj.geom_bodyid[geom]), points, radius))
         return out
 
@@ -138,20 +140,6 @@ def mirror_sign(mj: mujoco.MjModel, left: str, right: str) -> float:
     """
     seen = mj.joint(left).axis * (-1.0, 1.0, -1.0)
     return 1.0 if left == right or float(seen @ mj.joint(right).axis) > 0.0 else -1.0
-
-
-def _turn(axis: FloatArray, angle: Expression) -> Expression:
-    """(3, 3) by Rodrigues' formula."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return ca.SX.eye(3) + ca.sin(angle) * K + (1.0 - ca.cos(angle)) * (K @ K)
-
-
-def _matrix(quaternion: FloatArray) -> FloatArray:
-    """(3, 3) of w, x, y, z."""
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
 
 
 def ends(mj: mujoco.MjModel, geom: int) -> tuple[FloatArray, float]:

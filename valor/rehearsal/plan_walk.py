@@ -113,7 +113,7 @@ def take_plan(loop: ClosedLoop, steps: Sequence[PlannedStep]) -> Walked:
     )
     from_feet, from_true_feet = middle(*_believed(loop)), middle(*_true(loop))
     planned = [(FEET.index(step.foot), from_feet @ step.sole) for step in steps]
-    reply = handler.handle(FootstepPlanRequest(steps=_footsteps(steps, planned)), "test")
+    reply = handler.handle(FootstepPlanRequest(steps=footsteps(steps, planned)), "test")
     if not reply.accepted:
         return Walked(reply.reason)
     loop.controller.step_source = queue
@@ -149,7 +149,8 @@ def take_plan(loop: ClosedLoop, steps: Sequence[PlannedStep]) -> Walked:
     return replace(walked, landing=landing, believed=_largest(believed), true=_largest(true))
 
 
-def _footsteps(steps: Sequence[PlannedStep], planned: Sequence[tuple[int, Pose]]) -> list[Footstep]:
+def footsteps(steps: Sequence[PlannedStep], planned: Sequence[tuple[int, Pose]]) -> list[Footstep]:
+    """As a request has them: steps, and the foot and sole in odom of each."""
     return [
         Footstep(
             step_index=index,

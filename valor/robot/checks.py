@@ -16,7 +16,8 @@ from valor.common.arrays import FloatArray
 from valor.common.table import TableError
 from valor.robot import soles
 from valor.robot.description import RobotDescription
-from valor.robot.model import Model, full_model
+from valor.robot.model import Model, full_model, robot_spec
+from valor.robot.model_faults import coupled
 from valor.robot.tables import Foot
 
 SIDES = ("left", "right")
@@ -25,6 +26,7 @@ SOLE_PLANE = 0.005  # of a sole from the underside of its foot's geoms, at most 
 SOLE_TILT = 0.02  # of a sole from level, and of its heading from the base's, at most [rad]
 SOLE_SIZE = 0.02  # of a sole's edges from those of the foot's geoms, at most [m]
 COM_MARGIN = 0.25  # of the CoM inside both soles' edges, at least, of a sole's half width
+COUPLING = 0.005  # that a coupling may be away from satisfied in the nominal posture [m, rad]
 LEG_TOLERANCE = 0.05  # of hip_height from the nominal posture's [m]
 SIZE_TOLERANCE = 0.03  # of size from the model's, as a share
 
@@ -251,6 +253,24 @@ def feet_stand_apart(stance: Stance) -> Iterator[TableError]:
         yield TableError(("footsteps", "min_width"), what)
     if soles.overlap(*(stance.outline(side) for side in SIDES)):
         yield TableError(("nominal_posture",), "puts one sole on the other; expected them apart")
+
+
+def couplings_hold(stance: Stance) -> Iterator[TableError]:
+    """In the nominal posture what couples joints, or closes loops, is satisfied where passive joints rest."""
+    robot, spec = stance.robot, robot_spec(stance.robot, "none", passive=True)
+    if not any(each.simulated for each in robot.tables.passive.values()) or not spec.equalities:
+        return
+    joints = [sorted({*coupled(spec, each)} & {*robot.tables.passive}) for each in spec.equalities]
+    model = Model(robot, spec.compile())
+    data = mujoco.MjData(model.mj)
+    data.qpos[:] = model.nominal_qpos()
+    mujoco.mj_fwdPosition(model.mj, data)
+    for equality, names in enumerate(joints):
+        rows = data.efc_id[: data.ne] == equality  # which come first
+        gap = float(np.abs(data.efc_pos[: data.ne][rows]).max(initial=0.0))
+        if gap > COUPLING and names:
+            what = f"what couples it is {gap:.3f} (m or rad) from closed; expected the angle at which it is"
+            yield TableError(("passive", names[0], "at"), what)
 
 
 def nothing_touches(stance: Stance) -> Iterator[TableError]:

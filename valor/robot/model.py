@@ -16,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
+from valor.common.document import Document
 from valor.common.errors import SeveralFaultsError
+from valor.robot import arm_calibration
 from valor.robot.description import RobotDescription
-from valor.robot.model_faults import compile_fault, model_faults
+from valor.robot.model_faults import compile_fault, coupled, model_faults
 from valor.robot.tables import WHOLE_BODY_GROUPS
 
 Indices = slice | npt.NDArray[np.intp]
@@ -47,6 +49,8 @@ class Model:
         self.joint_indices = _indices(robot.index[name] for name in self.joints)
         self.qpos = _indices(mj.joint(name).qposadr[0] for name in self.joints)
         self.dof = _indices(mj.joint(name).dofadr[0] for name in self.joints)
+        passive = robot.tables.passive.items()
+        self._resting = [(int(mj.joint(name).qposadr[0]), each.at) for name, each in passive if name in present]
 
     def body(self, name: str) -> int:
         """A body's id."""
@@ -75,15 +79,18 @@ class Model:
         qpos: FloatArray = self.mj.qpos0.copy()
         qpos[:7] = (0.0, 0.0, self.robot.tables.nominal_base_height, 1.0, 0.0, 0.0, 0.0)
         qpos[self.qpos] = self.robot.nominal_posture[self.joint_indices]
+        for joint, angle in self._resting:
+            qpos[joint] = angle
         return qpos
 
 
-def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
+def robot_spec(robot: RobotDescription, shapes: Shapes, *, passive: bool = False) -> mujoco.MjSpec:
     """The robot alone, not compiled, with its limits, armature and damping as ``robot.yaml`` says.
 
     Args:
         robot: the robot's description.
         shapes: which geoms to keep: those that collide, also those that are only seen, or none.
+        passive: whether joints that nothing drives move, where robot.yaml has them simulated; else they are fixed.
 
     Raises:
         ConfigurationError: ``model.xml`` cannot be read, or its joints are not those of ``robot.yaml``.
@@ -102,6 +109,7 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
         if table.lower is not None:
             joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
             joint.range = (table.lower, table.upper)
+    _fix_passive(spec, robot, {name for name, each in robot.tables.passive.items() if not (passive and each.simulated)})
     for geom in list(spec.geoms):
         if shapes == "none" or (shapes == "collision" and not (geom.contype or geom.conaffinity)):
             spec.delete(geom)
@@ -114,11 +122,15 @@ def robot_spec(robot: RobotDescription, shapes: Shapes) -> mujoco.MjSpec:
 
 
 def controller_model(robot: RobotDescription) -> Model:
-    """What the Whole-Body Controller computes with: nominal, with the joints outside its groups welded.
+    """What the Whole-Body Controller computes with: the joints outside its groups welded, arms weighing as calibrated.
 
     Only what is kept apart (``self_collision``) has shapes.
+
+    Raises:
+        ConfigurationError: as of ``robot_spec``, or the calibration does not fit the robot.
     """
     spec = robot_spec(robot, "collision")
+    _weigh(spec, robot)
     apart = {body for pair in robot.tables.self_collision.pairs for body in pair}
     for geom in list(spec.geoms):
         if geom.parent.name not in apart:
@@ -127,19 +139,45 @@ def controller_model(robot: RobotDescription) -> Model:
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:
             _weld(spec, joint, robot.tables.nominal_posture.get(joint.name, 0.0))
-    return Model(robot, _compiled(robot, spec))
+    return Model(robot, compiled(robot, spec))
 
 
 def full_model(robot: RobotDescription, shapes: Shapes = "none") -> Model:
     """The nominal model with every joint, for kinematics, tf and pictures."""
-    return Model(robot, _compiled(robot, robot_spec(robot, shapes)))
+    return Model(robot, compiled(robot, robot_spec(robot, shapes)))
 
 
-def _compiled(robot: RobotDescription, spec: mujoco.MjSpec) -> mujoco.MjModel:
+def compiled(robot: RobotDescription, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
         raise compile_fault(robot, str(error)) from None
+
+
+def _weigh(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
+    """Give the arms' bodies the mass and CoM that were found, their inertia going with the mass."""
+    calibrations = arm_calibration.load(robot)
+    for group, arm in calibrations.present() if calibrations else ():
+        for name, link in arm.links.items():
+            body = spec.body(name)
+            if body is None or not body.explicitinertial or body.mass <= 0:
+                what = f"expected a body of {robot.tables.model} with an inertial"
+                raise Document.load(robot.folder / arm_calibration.FILE).error((group, "links", name), what)
+            body.inertia *= link.mass / body.mass
+            body.fullinertia *= link.mass / body.mass
+            body.mass, body.ipos = link.mass, link.com
+
+
+def _fix_passive(spec: mujoco.MjSpec, robot: RobotDescription, fixed: set[str]) -> None:
+    """Weld joints that nothing drives where they rest, and take away what coupled them."""
+    if not fixed:
+        return
+    for equality in list(spec.equalities):
+        if fixed.intersection(coupled(spec, equality)):
+            spec.delete(equality)
+    for joint in list(spec.joints):
+        if joint.name in fixed:
+            _weld(spec, joint, robot.tables.passive[joint.name].at)
 
 
 def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:

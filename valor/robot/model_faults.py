@@ -47,7 +47,7 @@ def compile_fault(robot: RobotDescription, complaint: str) -> ConfigurationError
 def _fault(robot: RobotDescription, tag: str, name: str, what: str) -> ConfigurationError:
     """One line about an element of model.xml; without a place where that is in a file which it includes."""
     file = robot.model_file
-    named = rf'[^>]*\b(?:name|file|joint1|body1)="{re.escape(name)}"' if name else ""
+    named = rf'[^>]*\b(?:name|file|joint1|body1|site1)="{re.escape(name)}"' if name else ""
     found = re.search(rf"<({tag})\b{named}", file.read_text(encoding="utf-8", errors="replace"))
     if found is None:
         return ConfigurationError(f"{file}: {'.'.join(part for part in (tag, name) if part.isidentifier())}: {what}")
@@ -62,8 +62,11 @@ def _strange_joints(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[Co
     for name in robot.joints:
         if name not in hinges:
             yield robot.error(["joints", name], f"expected a hinge of {robot.tables.model}")
-    for name in sorted(hinges - set(robot.joints)):
-        yield robot.error(["joints"], f"expected all hinges of {robot.tables.model}; missing: {name}")
+    for name in robot.tables.passive:
+        if name not in hinges:
+            yield robot.error(["passive", name], f"expected a hinge of {robot.tables.model}")
+    for name in sorted(hinges - set(robot.joints) - set(robot.tables.passive)):
+        yield robot.error(["joints"], f"expected all hinges of {robot.tables.model}, but for passive; missing: {name}")
     for joint in spec.joints:
         if joint.type in {mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL} and joint.name not in robot.joints:
             yield _fault(robot, "joint", joint.name, "expected a hinge, or none: the body welded")
@@ -128,13 +131,30 @@ def _missing_files(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[Con
             yield _fault(robot, "mesh", mesh.file, f"no file {where} in {folder}")
 
 
+def coupled(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> list[str]:
+    """Names of the joints that an equality couples: those that it names, or those of the loop that it closes."""
+    ends = [name for name in (equality.name1, equality.name2) if name]
+    if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+        return ends
+    chains = []
+    for name in ends:
+        body = spec.site(name).parent if equality.objtype == mujoco.mjtObj.mjOBJ_SITE else spec.body(name)
+        chain = set()
+        while body is not None and body.name != "world":
+            chain |= {joint.name for joint in body.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE}
+            body = body.parent
+        chains.append(chain)
+    return sorted(set.symmetric_difference(*chains)) if len(chains) == 2 else sorted(set().union(*chains))
+
+
 def _equalities(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[ConfigurationError]:
-    """What couples joints of the whole body, of which controllers know nothing."""
+    """What couples joints of the whole body with no passive one between them: controllers know nothing of it."""
     moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.group(group)}
     for equality in spec.equalities:
         ends = [name for name in (equality.name1, equality.name2) if name]
-        coupled = equality.type == mujoco.mjtEq.mjEQ_JOINT
-        if not coupled or moved.intersection(ends):
-            kind = {mujoco.mjtEq.mjEQ_JOINT: "joint", mujoco.mjtEq.mjEQ_CONNECT: "connect"}.get(equality.type, r"\w+")
-            what = "expected none: controllers take the joints of legs, waist and arms for independent"
-            yield _fault(robot, kind, ends[0] if ends else "", what)
+        joints, by_joints = set(coupled(spec, equality)), equality.type == mujoco.mjtEq.mjEQ_JOINT
+        if joints.intersection(robot.tables.passive) or (by_joints and not moved.intersection(joints)):
+            continue
+        kind = {mujoco.mjtEq.mjEQ_JOINT: "joint", mujoco.mjtEq.mjEQ_CONNECT: "connect"}.get(equality.type, r"\w+")
+        what = "expected none without a passive joint: controllers take those of legs, waist and arms for independent"
+        yield _fault(robot, kind, ends[0] if ends else "", what)

@@ -41,6 +41,13 @@ def every_joint_is_in_one_group(tables: RobotTables) -> Iterator[TableError]:
             yield TableError(("joints", joint), "in no group; expected it in one of groups")
 
 
+def passive_joints_are_others(tables: RobotTables) -> Iterator[TableError]:
+    """What nothing drives is none of joints."""
+    for name in tables.passive:
+        if name in tables.joints:
+            yield TableError(("passive", name), "is one of joints; expected a hinge that nothing drives")
+
+
 def legs_have_six_joints(tables: RobotTables) -> Iterator[TableError]:
     """A leg has six joints, by which its sole can be put in any pose."""
     for group in REQUIRED_GROUPS:
@@ -141,9 +148,20 @@ def every_joint_has_one_device(tables: RobotTables) -> Iterator[TableError]:
             owner[joint] = name
 
 
+def sensors_are_on_limbs_that_there_are(tables: RobotTables) -> Iterator[TableError]:
+    """A force sensor at a hand needs that hand."""
+    there = {"left_foot", "right_foot", *(f"{side}_hand" for side, _ in tables.hands.present())}
+    for name, device in tables.devices.items():
+        for place in getattr(device, "places", ()):
+            if place not in there:
+                what = f"has a sensor at {place}; expected one of {', '.join(sorted(there))}, or that hand in hands"
+                yield TableError(("devices", name), what)
+
+
 RULES: tuple[Callable[[RobotTables], Iterator[TableError]], ...] = (
     groups_are_there,
     every_joint_is_in_one_group,
+    passive_joints_are_others,
     legs_have_six_joints,
     postures_are_within_limits,
     offsets_name_joints,
@@ -152,6 +170,7 @@ RULES: tuple[Callable[[RobotTables], Iterator[TableError]], ...] = (
     pairs_are_distinct,
     steps_fit_each_other,
     every_joint_has_one_device,
+    sensors_are_on_limbs_that_there_are,
 )
 """In the order in which they are tried."""
 

@@ -26,6 +26,7 @@ class Size(Table):
 
 ESCHER = Size(leg=0.82, mass=75.9)
 ESCHER_HALF_WIDTH = 0.07425  # of its soles [m]
+NARROW = 0.5  # of a sole as wide as ESCHER's, by the leg: a narrower one rocks on uneven ground more than it holds
 
 N = TypeVar("N", bound=float)
 Length = Annotated[N, Meta(extra={"dimension": "length", "unit": "m"})]
@@ -61,6 +62,16 @@ def factors(size: Size, half_width: float) -> dict[str, float]:
         "per_area": 1 / length**2,
         "force": size.mass / ESCHER.mass,
     }
+
+
+def narrowness(leg: float, half_width: float) -> float:
+    """1 of soles as wide for the robot's legs as ``NARROW`` says, or wider; less of narrower ones.
+
+    Args:
+        leg: as of ``Size`` [m].
+        half_width: of its narrower sole [m].
+    """
+    return min(1.0, half_width / leg / (NARROW * ESCHER_HALF_WIDTH / ESCHER.leg))
 
 
 def completed(kind: type[Table], content: object, factor: Mapping[str, float]) -> Any:

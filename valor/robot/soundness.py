@@ -39,6 +39,7 @@ CHECKS: tuple[Check, ...] = (
     Check(checks.soles_are_as_large_as_the_feet, ("feet",)),
     Check(checks.feet_stand_apart, ("feet", "nominal_posture", "footsteps")),
     Check(checks.the_com_is_over_the_soles, ("feet", "nominal_posture")),
+    Check(checks.couplings_hold, ("passive", "nominal_posture")),
     Check(checks.nothing_touches, ("nominal_posture",)),
     Check(checks.arm_presets_touch_nothing, ("nominal_posture", "arm_presets")),
     Check(checks.pairs_are_kept_apart, ("nominal_posture",)),

@@ -49,6 +49,13 @@ class Joint(Table, kw_only=True):
             require_order(self, "lower", "upper")
 
 
+class Passive(Table):
+    """A hinge that nothing drives; its range, spring, damping and what couples it stand in model.xml."""
+
+    at: Turn = 0.0  # where it rests in the nominal posture, and where controllers take it for fixed [rad]
+    simulated: bool = True  # whether it moves in simulation; if not, it is welded there, too
+
+
 class Foot(Table):
     """A foot: its body, and the site at the sole's origin (x forward, z up, on the contact surface)."""
 
@@ -166,6 +173,7 @@ class RobotTables(Table, kw_only=True):
     feet: Feet
     hands: Hands = Hands()
     joints: dict[str, Joint]  # the order is that of every joint vector
+    passive: dict[str, Passive] = {}  # all other hinges of the model
     groups: dict[str, list[str]]  # left_leg, right_leg; torso, left_arm, … where there are any
     nominal_posture: dict[str, float]  # [rad]; joints not named: 0
     nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
@@ -179,6 +187,7 @@ class RobotTables(Table, kw_only=True):
     pelvis: PelvisMotion = PelvisMotion()
     disturbance: Section = {}
     gains: Section = {}
+    arm_servos: Section = {}
     weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
     hand_goals: Section = {}
     self_collision: SelfCollision = SelfCollision()

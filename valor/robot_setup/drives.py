@@ -11,7 +11,7 @@ import numpy as np
 
 from valor.robot_setup.skeleton import Skeleton
 
-TORQUE_LAG = 0.005  # of the hardware profile [s]
+TORQUE_LAG, DELAY = 0.005, 0.004  # of the hardware profile [s]
 _LAG_MARGIN = 1.5  # of damping over lag times stiffness
 _STEP_MARGIN = 0.35  # of damping times step over inertia: 2 is where a servo becomes unstable
 STIFFNESS = {  # of a servo, of m·g·h, by role; ESCHER's

@@ -16,7 +16,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.robot_setup import meshes
-from valor.robot_setup.geometry import Capsule, Sole, capsule, cloud, touching_geoms
+from valor.robot_setup.geometry import Capsule, Sole, capsule, cloud, sole, touching_geoms
 from valor.robot_setup.skeleton import Edge, Skeleton
 
 _HEAD = """\
@@ -44,6 +44,8 @@ _HEAD = """\
   </default>
 """
 
+_PLANE = 0.03  # of a sole's length: what is so near to its plane stands on the ground with it
+_BALL = 0.01  # ESCHER's [m]
 _HIDDEN = 3  # group of geoms from which on MuJoCo's viewers show none
 
 
@@ -54,6 +56,7 @@ class Parts:
     Attributes:
         soles: by side, in the world as drawn.
         palms: (3,) by side, where hand goals refer to, in the world as drawn [m].
+        pads: by body, what else of a foot stands on the ground, on hinges that nothing drives.
         capsules: by body, in the body's own frame.
         excluded: pairs of bodies' names that overlap at rest and are not kept apart.
         step: of the physics [s].
@@ -61,22 +64,32 @@ class Parts:
 
     soles: dict[str, Sole]
     palms: dict[str, FloatArray]
+    pads: dict[int, Sole]
     capsules: dict[int, Capsule]
     excluded: list[tuple[str, str]] = field(default_factory=list)
     step: float = 0.001
 
     @property
     def ball(self) -> float:
-        """Radius of a sole's corners [m]."""
-        return 0.13 * min(sole.half_width for sole in self.soles.values())
+        """Radius of a sole's corners [m]. Much smaller ones catch on the edges between a height field's cells."""
+        return min(_BALL, 0.5 * min(sole.half_width for sole in self.soles.values()))
 
 
 def link(robot: Skeleton, body: int) -> list[int]:
     """The bodies that no driven joint parts from one."""
+    return _joined(robot, body, set())
+
+
+def rigid(robot: Skeleton, body: int) -> list[int]:
+    """The bodies that no joint that moves parts from one."""
+    return _joined(robot, body, robot.passive.simulated)
+
+
+def _joined(robot: Skeleton, body: int, parting: set[int]) -> list[int]:
     found, waiting = {body}, [body]
     while waiting:
         for edge in robot.edges[waiting.pop()]:
-            if not edge.joints and edge.to not in found:
+            if not edge.joints and edge.to not in found and not parting.intersection(edge.hinges):
                 found.add(edge.to)
                 waiting.append(edge.to)
     return sorted(found)
@@ -87,18 +100,31 @@ def fit(robot: Skeleton, soles: dict[str, Sole], palms: dict[str, FloatArray]) -
     source, mj = robot.source, robot.source.mj
     feet = {robot.legs[side].end: side for side in robot.legs}
     capsules: dict[int, Capsule] = {}
+    pads: dict[int, Sole] = {}
     seen: set[int] = set()
     for body in sorted(robot.edges):
         if body in seen:
             continue
-        bodies = link(robot, body)
+        bodies = rigid(robot, body)
         seen |= set(bodies)
         main = max(bodies, key=lambda each: float(mj.body_mass[each]))
         if foot := next((each for each in bodies if each in feet), None):
             capsules[foot] = _foot_capsule(robot, foot, soles[feet[foot]])
+        elif pad := _pad(robot, bodies, soles):
+            pads[main] = pad
         elif len(points := cloud(source, bodies)) > 3:
             capsules[main] = capsule((points - source.data.xpos[main]) @ source.rotation(main))
-    return Parts(soles, palms, capsules)
+    return Parts(soles, palms, pads, capsules)
+
+
+def _pad(robot: Skeleton, bodies: list[int], soles: dict[str, Sole]) -> Sole | None:
+    """The underside of a part of a foot, if it is in the plane of the foot's sole."""
+    for side, leg in robot.legs.items():
+        if bodies[0] in link(robot, leg.end):
+            found, own = sole(cloud(robot.source, bodies), soles[side].origin, robot.forward), soles[side]
+            if found and abs(own.rotation[:, 2] @ (found.origin - own.origin)) < _PLANE * (own.toe - own.heel):
+                return found
+    return None
 
 
 def _foot_capsule(robot: Skeleton, foot: int, sole: Sole) -> Capsule:
@@ -137,6 +163,8 @@ def _text(writer: _Writer, name: str) -> str:
     )
     contact = "".join(f'    <exclude body1="{a}" body2="{b}"/>\n' for a, b in parts.excluded)
     made = f"{head}\n  <asset>\n{assets}  </asset>\n\n  <worldbody>\n{body}\n  </worldbody>\n"
+    couplings = "".join(f"    {line}\n" for line in writer.equalities())
+    made += f"\n  <equality>\n{couplings}  </equality>\n" if couplings else ""
     made += f"\n  <!-- Fitted shapes that overlap at rest. -->\n  <contact>\n{contact}  </contact>\n" if contact else ""
     return made + "</mujoco>\n"
 
@@ -149,7 +177,8 @@ class _Writer:
         self.names = set(self.source.bodies)
         self.feet = {leg.end: side for side, leg in robot.legs.items()}
         self.hands = {arm.end: side for side, arm in robot.arms.items()}
-        self.fingers = {int(self.mj.jnt_bodyid[j]) for arm in robot.arms.values() for j in arm.beyond}
+        fingers = {int(self.mj.jnt_bodyid[j]) for arm in robot.arms.values() for j in arm.beyond}
+        self.fingers = {each for body in fingers for each in link(robot, body)}
 
     def frame(self, body: int) -> tuple[FloatArray, FloatArray]:
         """(3,) and (3, 3): the pelvis looks forward, whatever its own axes; the others keep theirs."""
@@ -204,27 +233,55 @@ class _Writer:
 
     def joints(self, edge: Edge, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
         """Those on the way to a body, in its frame."""
-        for joint in edge.joints:
+        for joint in edge.hinges:
             anchor = rotation.T @ (self.data.xanchor[joint] - here)
             axis = rotation.T @ self.data.xaxis[joint] * (-1 if edge.reversed else 1)
             at = "" if np.linalg.norm(anchor) < 1e-6 else f' pos="{_numbers(anchor)}"'
-            yield f'<joint name="{escape(self.robot.joint_name(joint))}"{at} axis="{_numbers(axis)}"/>'
+            own = "" if joint in self.robot.driven else self.own(joint)
+            yield f'<joint name="{escape(self.robot.joint_name(joint))}"{at} axis="{_numbers(axis)}"{own}/>'
+
+    def own(self, joint: int) -> str:
+        """What a joint that nothing drives has of itself."""
+        mj, dof = self.mj, int(self.mj.jnt_dofadr[joint])
+        told = {
+            "stiffness": float(mj.jnt_stiffness[joint]),
+            "springref": float(mj.qpos_spring[mj.jnt_qposadr[joint]]) if mj.jnt_stiffness[joint] else 0.0,
+            "damping": float(mj.dof_damping[dof]),
+            "armature": float(mj.dof_armature[dof]),
+            "frictionloss": float(mj.dof_frictionloss[dof]),
+        }
+        limited = f' range="{_numbers(mj.jnt_range[joint])}"' if mj.jnt_limited[joint] else ""
+        return limited + "".join(f' {key}="{value:.6g}"' for key, value in told.items() if value)
+
+    def equalities(self) -> Iterator[str]:
+        """What couples joints and closes loops."""
+        passive, name = self.robot.passive, self.robot.joint_name
+        for each in passive.couplings:
+            if each.follower in passive.simulated and each.leader in self.robot.driven | passive.simulated:
+                ends = f'joint1="{escape(name(each.follower))}" joint2="{escape(name(each.leader))}"'
+                yield f'<joint {ends} polycoef="{_numbers(each.polynomial)}" {each.softness}/>'
+        for number, loop in enumerate(passive.loops, 1):
+            yield f'<connect site1="joint_{number}_a" site2="joint_{number}_b" {loop.softness}/>'
 
     def shapes(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
         """Sites and geoms of a body."""
         if body == self.robot.pelvis:
             yield '<site name="imu"/>'
         if side := self.feet.get(body):
-            sole = self.parts.soles[side]
-            local = rotation.T @ (sole.origin - here)
-            yield f'<site name="{side[0]}_sole"{_pose(local, rotation.T @ sole.rotation)}/>'
-            for x in (sole.heel, sole.toe):
-                for y in (-sole.half_width, sole.half_width):
-                    corner = sole.origin + sole.rotation @ np.array([x, y, self.parts.ball]) - here
-                    yield f'<geom class="sole" pos="{_numbers(rotation.T @ corner)}"/>'
+            own_sole = self.parts.soles[side]
+            local = rotation.T @ (own_sole.origin - here)
+            yield f'<site name="{side[0]}_sole"{_pose(local, rotation.T @ own_sole.rotation)}/>'
+            yield from self.corners(own_sole, here, rotation)
         if side := self.hands.get(body):
             palm = _pose(rotation.T @ (self.parts.palms[side] - here), rotation.T @ self.robot.forward)
             yield f'<site name="{side[0]}_gripper"{palm}/>'
+        for number, loop in enumerate(self.robot.passive.loops, 1):
+            for end, letter in enumerate("ab"):
+                if loop.bodies[end] == body:
+                    at = _pose(rotation.T @ (loop.points[end] - here), np.eye(3))
+                    yield f'<site name="joint_{number}_{letter}"{at}/>'
+        if pad := self.parts.pads.get(body):
+            yield from self.corners(pad, here, rotation)
         if shape := self.parts.capsules.get(body):
             own = rotation.T @ self.source.rotation(body)
             kind = "finger" if body in self.fingers else "body"
@@ -232,6 +289,13 @@ class _Writer:
             yield f'<geom class="{kind}" size="{shape.radius:.4g}" fromto="{ends}"/>'
         if self.shown:
             yield from self.seen(body, here, rotation)
+
+    def corners(self, sole: Sole, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
+        """What a sole stands on."""
+        for x in (sole.heel, sole.toe):
+            for y in (-sole.half_width, sole.half_width):
+                corner = sole.origin + sole.rotation @ np.array([x, y, self.parts.ball]) - here
+                yield f'<geom class="sole" pos="{_numbers(rotation.T @ corner)}"/>'
 
     def seen(self, body: int, here: FloatArray, rotation: FloatArray) -> Iterator[str]:
         """What one sees of a body: what does not collide, else what does."""

@@ -32,6 +32,7 @@ PRESETS = {
     "fold": (0.35, 0.15, -0.35),
 }
 GRAVITY = 9.81
+GROUND = 0.02  # of a leg: parts of a foot whose undersides are so near in height all stand on the ground
 GENERIC = ("model", "robot", "scene", "urdf", "mjcf")  # names of files that say nothing of the robot
 Presets = dict[str, dict[str, dict[str, float]]]  # preset, side, joint → angle [rad]
 
@@ -65,6 +66,7 @@ def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = s
     robot = skeleton(Source(model), ask)
     _keep_frames_free(robot)
     name = name or ask(Question("name of the robot", _usual_name(model)))
+    _find_ends(robot)
     tell("measuring soles, hands and shapes")
     soles = {side: _sole(robot, side) for side in SIDES}
     palms = {side: _palm(robot, side) for side in robot.arms}
@@ -84,7 +86,8 @@ def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = s
     poser.put(stance.angles)
     mujoco.mj_forward(mj, poser.data)
     tune(found, inertias(robot, mj, poser.data), mass * GRAVITY * stance.com_height, parts.step)
-    content = robot_yaml.Content(name, robot, soles, found, stance, mass, presets, pairs, parts.step)
+    passive = poser.rest(stance.angles, _springs(robot))
+    content = robot_yaml.Content(name, robot, soles, found, stance, mass, presets, pairs, parts.step, passive)
     return Study(content, parts)
 
 
@@ -122,13 +125,17 @@ def _postures(
         for side, limb in robot.arms.items()
     }
     rest = _within({}, limits)
+    passive = poser.rest(rest, _springs(robot))
+    rest |= passive
     presets = {
         preset: {side: poser.reach(arm, _outward(way, side), rest) for side, arm in arms.items()}
         for preset, way in PRESETS.items()
         if arms
     }
     home = {name: angle for side in presets.get("home", {}).values() for name, angle in side.items()}
-    return poser.stand(legs, half_width, rest | home), presets
+    stance = poser.stand(legs, half_width, rest | home)
+    stance.angles = {name: angle for name, angle in stance.angles.items() if name not in passive}
+    return stance, presets
 
 
 def _keep_frames_free(robot: Skeleton) -> None:
@@ -140,9 +147,42 @@ def _keep_frames_free(robot: Skeleton) -> None:
             robot.source.notes.append(f"body {name} is called {names[body]}: the frame {name} is another")
 
 
+def _springs(robot: Skeleton) -> dict[str, float]:
+    """Of hinges that nothing drives, where their springs are, or else their zeros [rad]."""
+    mj = robot.source.mj
+    return {
+        robot.joint_name(j): float(mj.qpos_spring[mj.jnt_qposadr[j]]) if mj.jnt_stiffness[j] else 0.0
+        for j in robot.passive.hinges
+    }
+
+
+def _find_ends(robot: Skeleton) -> None:
+    """Where a passive hinge divides a hand, the part at the wrist.
+
+    And of a foot that which carries: the longest of those that reach lowest.
+    """
+    source = robot.source
+    for arm in robot.arms.values():
+        wrist = int(source.mj.jnt_bodyid[arm.joints[-1]])
+        if wrist in model_xml.link(robot, arm.end):
+            arm.end = max(model_xml.rigid(robot, wrist), key=lambda body: float(source.mj.body_mass[body]))
+    for leg in robot.legs.values():
+        parts = {tuple(model_xml.rigid(robot, body)) for body in model_xml.link(robot, leg.end)}
+        ankle = source.data.xanchor[leg.joints[-1]]
+        soles = {part: sole(cloud(source, part), ankle, robot.forward) for part in sorted(parts)}
+        found = {part: each for part, each in soles.items() if each is not None}
+        if len(parts) < 2 or not found:
+            continue
+        lowest = min(float(each.origin @ robot.forward[:, 2]) for each in found.values())
+        near = GROUND * _leg_length(robot)
+        low = [part for part, each in found.items() if float(each.origin @ robot.forward[:, 2]) < lowest + near]
+        part = max(low, key=lambda each: found[each].toe - found[each].heel)
+        leg.end = max(part, key=lambda body: float(source.mj.body_mass[body]))
+
+
 def _sole(robot: Skeleton, side: str) -> Sole:
     leg, source = robot.legs[side], robot.source
-    found = sole(cloud(source, model_xml.link(robot, leg.end)), source.data.xanchor[leg.joints[-1]], robot.forward)
+    found = sole(cloud(source, model_xml.rigid(robot, leg.end)), source.data.xanchor[leg.joints[-1]], robot.forward)
     if found is None:
         raise ConfigurationError(
             f"{source.file}: body {robot.name(leg.end)}: no flat underside found; expected geoms to stand on"

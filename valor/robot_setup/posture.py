@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.robot.checks import SIDES
+from valor.robot.legs import knee
 
 HIP_SHARE = 0.884  # height of the hip over the ankle, of the straight leg's length: ESCHER's, and THOR's
 _UPRIGHT = 1e-3  # weight of angles that do not matter towards zero
@@ -65,6 +66,31 @@ class Poser:
             self.data.qpos[self.mj.joint(name).qposadr[0]] = angle
         mujoco.mj_fwdPosition(self.mj, self.data)
 
+    def rest(self, angles: Mapping[str, float], springs: Mapping[str, float]) -> dict[str, float]:
+        """Where joints that nothing drives are when the others are at some angles: as what couples them wants it.
+
+        Args:
+            angles: of the others [rad].
+            springs: of each of these joints, where its spring, or else its zero, is [rad].
+        """
+        names = list(springs)
+        if not names:
+            return {}
+        wanted = np.array([springs[name] for name in names])
+        low, high = np.transpose([self._range(name) for name in names])
+
+        def residual(x: FloatArray) -> FloatArray:
+            self.put(dict(angles) | dict(zip(names, x, strict=True)))
+            return np.concatenate([self.data.efc_pos[: self.data.ne], _UPRIGHT * (x - wanted)])
+
+        solution = least_squares(residual, np.clip(wanted, low + 1e-6, high - 1e-6), bounds=(low, high), max_nfev=100)
+        return {name: round(float(angle), 4) for name, angle in zip(names, solution.x, strict=True)}
+
+    def _range(self, name: str) -> tuple[float, float]:
+        joint = self.mj.joint(name)
+        low, high = (float(x) for x in joint.range)
+        return (low, high) if self.mj.jnt_limited[joint.id] else (-np.pi, np.pi)
+
     def site(self, name: str) -> tuple[FloatArray, FloatArray]:
         """(3,) position and (3, 3) orientation."""
         site = self.data.site(name)
@@ -91,7 +117,10 @@ class Poser:
             ConfigurationError: the legs cannot put both soles level under the centre of mass.
         """
         self.put(arms)
-        knees = {side: self._knee(legs[side]) for side in SIDES}
+        knees = {
+            side: knee(self.mj, self.data, {name: self.limits[name] for name in legs[side].joints}) for side in SIDES
+        }
+        self.put(arms)
         pitch = {side: self._pitch_joints(legs[side]) for side in SIDES}
         length = float(np.mean([self._length(pitch[side]) for side in SIDES]))
         apart = float(np.mean([abs(self.site(legs[side].site)[0][1]) for side in SIDES]))
@@ -127,11 +156,7 @@ class Poser:
         )
         angles = dict(zip(names, solution.x[:-2].tolist(), strict=True))
         self.put(arms | angles)
-        worst = max(
-            max(abs(self.site(legs[side].site)[0][2] + solution.x[-2]), 1 - self.site(legs[side].site)[1][2, 2])
-            for side in SIDES
-        )
-        if worst > 0.01:
+        if self._off_the_ground(legs, solution.x[-2]) > 0.01:
             raise ConfigurationError("the legs' limits do not let both soles stand level with the knees bent")
         mujoco.mj_comPos(self.mj, self.data)
         return Stance(
@@ -143,6 +168,11 @@ class Poser:
             2 * apart,
             (knees["left"][0], knees["right"][0]),
         )
+
+    def _off_the_ground(self, legs: Mapping[str, Chain], height: float) -> float:
+        """The larger of how far a sole is from the ground [m], and one less the cosine of its tilt."""
+        soles = [self.site(legs[side].site) for side in SIDES]
+        return max(max(float(abs(place[2] + height)), float(1 - rotation[2, 2])) for place, rotation in soles)
 
     def _bent(
         self, names: Sequence[str], knees: Mapping[str, tuple[str, float]], pitch: Mapping[str, Sequence[str]]
@@ -169,25 +199,6 @@ class Poser:
 
     def _pitch_joints(self, leg: Chain) -> list[str]:
         return [name for name in leg.joints if abs(self.data.joint(name).xaxis[1]) > 0.9]
-
-    def _knee(self, leg: Chain) -> tuple[str, float]:
-        """The joint that changes the leg's length most, and the sign in which it bends forward or has more room."""
-        hip, best = leg.joints[0], ("", 0.0, 0.0)
-        for name in leg.joints[1:-1]:
-            low, high = self.limits[name]
-            for sign in (1.0, -1.0):
-                angle = float(np.clip(sign * 0.8, low, high))
-                self.put({})
-                straight = self.site(leg.site)[0] - self.anchor(hip)
-                self.put({name: angle})
-                change = float(np.linalg.norm(straight) - np.linalg.norm(self.site(leg.site)[0] - self.anchor(hip)))
-                room = abs(angle)
-                if change > best[1] and room > 0.1:
-                    best = (name, change, sign)
-        self.put({})
-        if not best[0]:
-            raise ConfigurationError("no joint bends the leg; expected a knee")
-        return best[0], best[2]
 
     def reach(self, arm: Chain, direction: FloatArray, rest: Mapping[str, float]) -> dict[str, float]:
         """Angles that put a hand in a direction from its shoulder, (3,) in lengths of the arm."""

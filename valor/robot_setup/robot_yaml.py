@@ -8,14 +8,16 @@ from math import hypot, sqrt
 
 from valor.robot.checks import SIDES
 from valor.robot.motion_tables import Footsteps, Walking
-from valor.robot.size import ESCHER
-from valor.robot_setup.drives import TORQUE_LAG, Drive
+from valor.robot.size import ESCHER, narrowness
+from valor.robot_setup.drives import DELAY, TORQUE_LAG, Drive
 from valor.robot_setup.geometry import Sole
 from valor.robot_setup.posture import Stance
 from valor.robot_setup.skeleton import Skeleton
 
 WIDE = 0.85  # of a step's greatest length, from which on the width is that of a robot with its feet far apart
 HIP_TOLERANCE = 0.01  # of the hip's height, from that which follows from the leg's length, in lengths of the leg
+VELOCITY_LAG = 0.0032  # of the estimator's low-pass on joint velocities [s]
+SMOOTH = 4.0  # delays that a response takes: Skogestad 2003, smooth control
 
 
 @dataclass
@@ -31,6 +33,7 @@ class Content:
     arm_presets: Mapping[str, Mapping[str, Mapping[str, float]]]
     pairs: Iterable[tuple[str, str]]
     step: float
+    passive: Mapping[str, float]  # where they rest [rad]
     rate: int = 500
 
 
@@ -56,9 +59,9 @@ def _head(content: Content) -> str:
         f"# {content.name}: everything the code knows about the robot beside model.xml. Units: m, kg, s, rad, N.",
         f"# Out of {robot.source.file.name}. What was guessed says why; whatever you know better, write it here.",
     ]
-    if robot.passive:
-        names = ", ".join(robot.joint_name(j) for j in robot.passive)
-        lines.append(f"# Welded at zero, because nothing drives them or they follow others: {names}.")
+    if robot.passive.gone:
+        names = ", ".join(robot.joint_name(j) for j in robot.passive.gone)
+        lines.append(f"# Welded at zero, because nothing drives them and they are no hinges: {names}.")
     lines += [f"# {note}" for note in robot.source.notes]
     lines += [
         "",
@@ -121,9 +124,29 @@ def _joints(content: Content) -> str:
                 f"servo: {{ stiffness: {_n(d.stiffness)}, damping: {_n(d.servo_damping)} }}, "
                 f"armature: {_n(d.armature)}, damping: {_n(d.damping)} }}{guesses}"
             )
+    lines += _passive(content)
     lines += ["", "groups:"]
     lines += [f"  {group}: [{', '.join(members)}]" for group, members in groups(content.robot).items()]
     return "\n".join(lines)
+
+
+def _passive(content: Content) -> list[str]:
+    passive, name = content.robot.passive, content.robot.joint_name
+    if not passive.hinges:
+        return []
+    led = {each.follower: name(each.leader) for each in passive.couplings}
+    lines = [
+        "",
+        "# Nothing drives these. Controllers take them for fixed; simulated, they move as model.xml has them.",
+        "passive:",
+    ]
+    for joint, simulated in passive.hinges.items():
+        stiffness = float(content.robot.source.mj.jnt_stiffness[joint])
+        why = f"follows {led[joint]}" if joint in led else f"a spring of {stiffness:g} N·m/rad" if stiffness else ""
+        why = why or ("held by damping, friction or a loop" if simulated else "nothing holds it")
+        moves = str(simulated).lower()
+        lines.append(f"  {name(joint)}: {{ at: {_n(content.passive[name(joint)])}, simulated: {moves} }}  # {why}")
+    return lines
 
 
 def _flow(angles: Mapping[str, float]) -> str:
@@ -162,7 +185,7 @@ def _motion(content: Content) -> str:
         "    mass_error: 0.05",
         f"    friction: {_n(2.0 * weight)}",
         f"    torque_lag: {TORQUE_LAG:g}",
-        "    delay: 0.004",
+        f"    delay: {DELAY:g}",
         "    noise:",
         "      joint_position: 0.0002",
         "      joint_position_resolution: 0.00005",
@@ -182,9 +205,21 @@ def _motion(content: Content) -> str:
     ]
     if abs(stance.hip_height / stance.leg_length - Walking().hip_height / ESCHER.leg) > HIP_TOLERANCE:
         lines.append(f"  hip_height: {_n(stance.hip_height)}  # as it stands")
+    lines += _limits(content)
     if pairs := list(content.pairs):
         lines += ["self_collision:", "  pairs:", *(f"    - [{a}, {b}]" for a, b in pairs)]
     return "\n".join(lines)
+
+
+def _limits(content: Content) -> list[str]:
+    """Narrow soles rock as fast as ankles may near their stops: what brakes those is no quicker than a drive."""
+    if narrowness(content.stance.leg_length, min(sole.half_width for sole in content.soles.values())) >= 1.0:
+        return []
+    response = 1 / (SMOOTH * (TORQUE_LAG + DELAY + VELOCITY_LAG + 1 / content.rate))
+    return [
+        "whole_body:",
+        f"  limit_response: {_n(response)}  # narrow soles rock: near a stop their ankles brake no quicker than drives",
+    ]
 
 
 def _footsteps(stance: Stance) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
+from valor.robot_setup.passive import Passive, sort_joints
 from valor.robot_setup.questions import Ask, Question, guess
 from valor.robot_setup.sides import feet_are_right, said_left
 from valor.robot_setup.source import Source
@@ -32,14 +33,16 @@ _MIDDLE = 0.15  # of the feet's distance: a link that is nearer to the middle pl
 
 @dataclass(frozen=True)
 class Edge:
-    """Joints between two bodies as one walks from one to the other: in that order, none where they are fixed.
+    """Driven joints between two bodies as one walks from one to the other: in that order, none where they are fixed.
 
-    ``reversed`` where the model has the edge the other way around: the joints' axes are turned then.
+    ``reversed`` where the model has the edge the other way around: the joints' axes are turned then. ``hinges`` are the
+    joints with those among them that nothing drives.
     """
 
     to: int
     joints: tuple[int, ...]
     reversed: bool
+    hinges: tuple[int, ...] = ()
 
 
 @dataclass
@@ -59,7 +62,7 @@ class Skeleton:
         source: the model.
         edges: of each body of the robot, those to its neighbours.
         driven: ids of the joints that something drives.
-        passive: ids of hinges and slides that nothing drives; they are welded.
+        passive: what nothing drives.
         pelvis, chest: bodies.
         waist: joints from pelvis to chest.
         legs, arms: by side; no arms: empty.
@@ -72,7 +75,7 @@ class Skeleton:
     source: Source
     edges: dict[int, list[Edge]]
     driven: set[int]
-    passive: list[int]
+    passive: Passive
     pelvis: int
     chest: int
     waist: list[int]
@@ -110,7 +113,7 @@ class _Finder:
         self.source, self.mj, self.data, self.ask = source, source.mj, source.data, ask
         self.root = self._root()
         self.bodies = [b for b in range(1, self.mj.nbody) if self.mj.body_rootid[b] == self.mj.body_rootid[self.root]]
-        self.driven, self.passive = self._driven()
+        self.driven, self.passive = sort_joints(source, self.bodies, ask)
         self.edges = self._edges()
         self.link = self._links()
 
@@ -127,33 +130,6 @@ class _Finder:
             raise self.fail("has no bodies; expected a robot")
         return max(tops, key=lambda b: float(self.mj.body_subtreemass[b]))
 
-    def _driven(self) -> tuple[set[int], list[int]]:
-        """Hinges that an actuator acts on, all where there are no actuators; and the joints that none does."""
-        mj = self.mj
-        mine = set(self.bodies)
-        joints = [j for j in range(mj.njnt) if int(mj.jnt_bodyid[j]) in mine]
-        hinges = [j for j in joints if mj.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
-        others = [j for j in joints if int(mj.jnt_type[j]) in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL)]
-        acted = {
-            int(mj.actuator_trnid[a, 0])
-            for a in range(mj.nu)
-            if int(mj.actuator_trntype[a]) in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-        }
-        for joint in others:
-            if joint in acted:
-                raise self.fail(f"joint {self.source.joints[joint]} is driven and slides or is a ball; expected hinges")
-        follows = {
-            int(mj.eq_obj1id[e])
-            for e in range(mj.neq)
-            if mj.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and mj.eq_obj2id[e] >= 0
-        }
-        driven = {j for j in hinges if (j in acted or not acted) and j not in follows}
-        if idle := [self.source.joints[j] for j in hinges if j not in driven and j not in follows]:
-            text = f"nothing drives {', '.join(idle)}: weld them, or give them servos"
-            if self.ask(Question(text, "weld", ("weld", "servo"))) == "servo":
-                driven |= {j for j in hinges if j not in follows}
-        return driven, [j for j in (*hinges, *others) if j not in driven]
-
     def _edges(self) -> dict[int, list[Edge]]:
         edges: dict[int, list[Edge]] = {body: [] for body in self.bodies}
         for body in self.bodies:
@@ -161,9 +137,10 @@ class _Finder:
             if parent not in edges:
                 continue
             first, count = int(self.mj.body_jntadr[body]), int(self.mj.body_jntnum[body])
-            joints = tuple(j for j in range(first, first + count) if j in self.driven)
-            edges[parent].append(Edge(body, joints, False))
-            edges[body].append(Edge(parent, joints[::-1], True))
+            hinges = tuple(j for j in range(first, first + count) if j in self.driven or j in self.passive.hinges)
+            joints = tuple(j for j in hinges if j in self.driven)
+            edges[parent].append(Edge(body, joints, False, hinges))
+            edges[body].append(Edge(parent, joints[::-1], True, hinges[::-1]))
         return edges
 
     def _links(self) -> dict[int, int]:

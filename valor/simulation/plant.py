@@ -28,9 +28,9 @@ def scene(robot: RobotDescription, world: str, seed: int, shapes: Shapes) -> muj
     Raises:
         ConfigurationError: no such world, or the robot's files are wrong.
     """
-    spec, surroundings = robot_spec(robot, shapes), worlds.load(world, seed)
+    spec, surroundings = robot_spec(robot, shapes, passive=True), worlds.load(world, seed, worlds.size_of(robot))
     surroundings.option = spec.option
-    spec.attach(surroundings, frame=spec.worldbody.add_frame(), prefix="world/")
+    spec.attach(surroundings, frame=spec.worldbody.add_frame(), prefix=worlds.PREFIX)
     return spec
 
 
@@ -67,7 +67,8 @@ class Plant:
         self.data.qpos[:] = self.model.nominal_qpos()
         mujoco.mj_forward(mj, self.data)
         self.actuators = Actuators(robot, table, mj.opt.timestep)
-        self._chest = self.model.body(robot.tables.chest)
+        self._fixtures = worlds.joints(mj)
+        self._chest = self._pushed_body = self.model.body(robot.tables.chest)
         self._push_steps = 0
         self._qpos, self._qvel, self._applied = self.data.qpos, self.data.qvel, self.data.qfrc_applied
 
@@ -80,6 +81,12 @@ class Plant:
     def joint_position(self) -> FloatArray:
         """(n,) the true ones, a copy [rad]."""
         position: FloatArray = self._qpos[self.model.qpos].copy()
+        return position
+
+    @property
+    def fixture_position(self) -> FloatArray:
+        """(m,) of the world's joints, a copy [rad]."""
+        position: FloatArray = self._qpos[self._fixtures].copy()
         return position
 
     def step(self, count: int) -> None:
@@ -95,19 +102,27 @@ class Plant:
             if self._push_steps:
                 self._push_steps -= 1
                 if not self._push_steps:
-                    data.xfrc_applied[self._chest] = 0.0
+                    data.xfrc_applied[self._pushed_body] = 0.0
         if not np.isfinite(self._qvel.dot(self._qvel)):
             raise SimulationDivergedError(f"the simulation diverged at {data.time:.3f} s")
 
-    def push(self, impulse: FloatArray, duration: float) -> None:
-        """Push the chest at its CoM with a constant force, from the next step on.
+    def push(self, impulse: FloatArray, duration: float, body: str = "") -> None:
+        """Push a body at its CoM with a constant force, from the next step on.
 
         Args:
             impulse: (3,) in world [N·s].
             duration: of the push, rounded to physics steps, at least one [s].
+            body: of the robot's model; empty: the chest.
         """
+        self.data.xfrc_applied[self._pushed_body] = 0.0
+        self._pushed_body = self.model.body(body) if body else self._chest
         self._push_steps = max(1, round(duration / self.step_time))
-        self.data.xfrc_applied[self._chest, :3] = impulse / (self._push_steps * self.step_time)
+        self.data.xfrc_applied[self._pushed_body, :3] = impulse / (self._push_steps * self.step_time)
+
+    def has_body(self, name: str) -> bool:
+        """Whether the robot has a body of that name; those of the world do not count."""
+        number = mujoco.mj_name2id(self.model.mj, mujoco.mjtObj.mjOBJ_BODY, name)
+        return bool(number > 0 and self.model.mj.body_rootid[number] == self.model.mj.body_rootid[self._chest])
 
     @property
     def pushed(self) -> bool:

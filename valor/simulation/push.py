@@ -1,4 +1,4 @@
-"""Serves pushes on the simulated robot's chest."""
+"""Serves pushes on the simulated robot."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class PushServer:
         if reason:
             self.refused += 1
         else:
-            self._plant.push(request.impulse_in_world, request.duration or DEFAULT_DURATION)
+            self._plant.push(request.impulse_in_world, request.duration or DEFAULT_DURATION, request.body)
         return PushReply(accepted=not reason, time=self._time, reason=reason)
 
     def _fault(self, request: PushRequest) -> str:
@@ -51,6 +51,8 @@ class PushServer:
             return f"impulse_in_world: {magnitude:g} N·s, expected at most {LARGEST:g}"
         if not 0.0 <= duration <= LONGEST:
             return f"duration: {duration:g} s, expected up to {LONGEST:g}, or 0 for {DEFAULT_DURATION:g}"
+        if request.body and not self._plant.has_body(request.body):
+            return f"body: {request.body[:64]!r}, expected one of the robot's model"
         if self._plant.pushed:
             return "an earlier push still acts"
         if not self._time:

@@ -42,6 +42,7 @@ class Truth:
                 com_in_world=data.subtree_com[self._base].copy(),
                 joint_position=plant.joint_position,
                 contacts=contacts,
+                fixture_position=plant.fixture_position,
             )
         )
 

@@ -14,15 +14,18 @@ from valor.valorctl import completion
 from valor.valorctl.console import say
 from valor.valorctl.verbs import (
     bags,
+    calibration,
     demonstration,
     diagnosis,
     experiments,
+    hosts,
     lifecycle,
     motion,
     observation,
     robots,
     step,
     tracing,
+    video,
 )
 
 # Groups of Bifrost's own verbs: a list of all verbs names them, and waits for none of their imports.
@@ -120,7 +123,21 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Starts, watches, drives and stops a robot system. Every verb takes --instance NAME, before or behind it.",
 )
-for _group in (lifecycle, observation, motion, step, robots, bags, demonstration, experiments, diagnosis, tracing):
+for _group in (
+    lifecycle,
+    observation,
+    motion,
+    step,
+    calibration,
+    robots,
+    bags,
+    demonstration,
+    experiments,
+    diagnosis,
+    hosts,
+    tracing,
+    video,
+):
     _group.register(app)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import bifrost
 from valor.common.errors import ValorError
@@ -15,6 +15,9 @@ from valor.common.topics import PROPRIOCEPTOR
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.valorctl.node import hear, join
+
+if TYPE_CHECKING:
+    from valor.valorctl.ros_client import RosClient
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = get_args(Side)
@@ -148,12 +151,22 @@ def follow(
     Raises:
         ValorError: the goal was refused, or the motion failed; carries the controller's words.
     """
+    from valor.valorctl.ros_client import RosClient
+
+    with RosClient(instance, check) as ros:
+        follow_by(ros, group, goal, duration, tolerant=tolerant)
+
+
+def follow_by(
+    ros: RosClient, group: str, goal: Mapping[str, float], duration: float, *, tolerant: bool = False
+) -> None:
+    """As ``follow``, with a node that is there."""
     from builtin_interfaces.msg import Duration
     from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointTolerance
     from trajectory_msgs.msg import JointTrajectoryPoint
 
-    from valor.valorctl.ros_client import GoalRefusedError, RosClient
+    from valor.valorctl.ros_client import GoalRefusedError
 
     message = FollowJointTrajectory.Goal()
     message.trajectory.joint_names = list(goal)
@@ -169,12 +182,11 @@ def follow(
     if tolerant:
         unchecked = [JointTolerance(name=joint, position=-1.0, velocity=-1.0, acceleration=-1.0) for joint in goal]
         message.path_tolerance = message.goal_tolerance = unchecked
-    action = f"/trajectory_controllers/{group}_traj_controller/follow_joint_trajectory"
-    with RosClient(instance, check) as ros:
-        try:
-            result = ros.call_action(FollowJointTrajectory, action, message, duration / _SLOWEST_CLOCK + _RESULT_MARGIN)
-        except GoalRefusedError:
-            raise GoalRefusedError(f"{ros.diagnosis('last trajectory refused') or action} (goal refused)") from None
+    action = f"trajectory_controllers/{group}_traj_controller/follow_joint_trajectory"
+    try:
+        result = ros.call_action(FollowJointTrajectory, action, message, duration / _SLOWEST_CLOCK + _RESULT_MARGIN)
+    except GoalRefusedError:
+        raise GoalRefusedError(f"{ros.diagnosis('last trajectory refused') or action} (goal refused)") from None
     if result.error_code != FollowJointTrajectory.Result.SUCCESSFUL:
         raise ValorError(f"{group}_traj_controller: error {result.error_code}: {result.error_string}")
 

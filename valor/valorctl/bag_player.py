@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import heapq
-import importlib
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from valor.analysis.stored import StoredBag, StoredTopic
 from valor.bags.selection import Selection
+from valor.bags.stored import StoredBag, StoredTopic, in_order
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.ros.definitions import UnknownTypeError, message_type
 from valor.valorctl import ros_domain
 
 DEPTH = 100
-_WINDOW = 1_000_000_000  # within which a bag's messages may stand out of order [ns]
-_FEEDBACK = "_Feedback"  # ends the name of the type of an action's feedback
 _DISCOVERY = 1.0  # in which those who listen already are found [s]
 
 
@@ -74,7 +71,8 @@ def play(
     with _Publishers(domain) as publishers:
         first: int | None = None
         began, played = 0.0, 0
-        for stamp, topic, data in _in_order(bag, Selection(tuple(topics))):
+        wanted = Selection(tuple(topics))
+        for topic, stamp, data, _ in in_order(each for each in bag.messages() if each.topic.name in wanted):
             publisher = publishers.of(topic)
             if publisher is None:
                 continue
@@ -91,26 +89,6 @@ def play(
                 tell(passed, played)
         publishers.settle()
         return Played(played, publishers.skipped, bag.condition.damage)
-
-
-def _in_order(bag: StoredBag, selection: Selection) -> Iterator[tuple[int, StoredTopic, bytes]]:
-    """By time: a recorder writes what came on one topic, then on the next."""
-    waiting: list[tuple[int, int, StoredTopic, bytes]] = []
-    newest = 0
-    for number, (topic, stamp, data, _) in enumerate(bag.messages()):
-        if topic.name not in selection:
-            continue
-        heapq.heappush(waiting, (stamp, number, topic, data))
-        newest = max(newest, stamp)
-        while waiting[0][0] < newest - _WINDOW:
-            yield _first(waiting)
-    while waiting:
-        yield _first(waiting)
-
-
-def _first(waiting: list[tuple[int, int, StoredTopic, bytes]]) -> tuple[int, StoredTopic, bytes]:
-    stamp, _, topic, data = heapq.heappop(waiting)
-    return stamp, topic, data
 
 
 class _Publishers:
@@ -143,13 +121,13 @@ class _Publishers:
         publisher = self._publishers.get(topic.name)
         if publisher is None:
             try:
-                message_type = _message_type(topic.type)
-            except (ValueError, ImportError, AttributeError):
+                kind = message_type(topic.type)
+            except (ValueError, UnknownTypeError):
                 self.skipped[topic.name] = f"type {topic.type or 'unknown'} is not installed here"
                 return None
             durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
             qos = QoSProfile(depth=DEPTH, durability=durability)
-            publisher = self._publishers[topic.name] = self._node.create_publisher(message_type, topic.name, qos)
+            publisher = self._publishers[topic.name] = self._node.create_publisher(kind, topic.name, qos)
             self._wait_for_listeners(publisher)
         return publisher
 
@@ -167,12 +145,3 @@ class _Publishers:
 
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=5))
-
-
-def _message_type(name: str) -> Any:
-    """The Python class of a ROS type; of ``package/action/Name_Feedback``, too."""
-    package, kind, base = name.split("/")
-    module = importlib.import_module(f"{package}.{kind}")
-    if kind == "action" and base.endswith(_FEEDBACK):
-        return getattr(module, base.removesuffix(_FEEDBACK)).Feedback
-    return getattr(module, base)

@@ -10,6 +10,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +22,12 @@ import bifrost
 from valor.analysis.errors import OFFSCREEN
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.common.linking import NAMES, ports_to_robot
 from valor.common.priority import granted, own_core
 from valor.common.processes import PROCESSES
 from valor.common.resources import IN_CHECKOUT, REPAIR
 from valor.valorctl import leftovers, ros_domain, supervisor_config
+from valor.valorctl.health import SILENCE, Listener
 from valor.valorctl.supervision import Supervisor
 
 Level = Literal["ok", "warn", "fail"]
@@ -59,6 +62,7 @@ class Finding:
     level: Level
     text: str
     advice: str = ""  # what to do about it
+    host: str = ""  # where; empty: this computer
 
 
 def run_all(instance: Instance, tell: Callable[[str], None] = lambda name: None) -> list[Finding]:
@@ -260,6 +264,32 @@ def _leftovers(_: Instance) -> Finding:
     return Finding("leftovers", "ok", f"none; {there} up on this computer")
 
 
+def _link(instance: Instance) -> Finding:
+    """Whether this computer's ends of the link hear the others, by what they say themselves."""
+    settings = instance.settings() if instance.settings_file.exists() else None
+    here = settings.processes_here(settings.asked) if settings is not None else ()
+    names = [name for name in NAMES if name in here]
+    if settings is None or not names:
+        return Finding("link", "ok", "no end of one runs here")
+    with Listener(instance, names) as listener:
+        until = time.monotonic() + SILENCE
+        while len(listener.words) < len(names) and time.monotonic() < until:
+            listener.listen(0.1)
+        said = {name: listener.words.get(name) for name in names}
+        now = time.monotonic()
+    wrong = [
+        f"{name}: {'runs, but says nothing' if word is None else word.detail or word.state}"
+        for name, word in said.items()
+        if word is None or word.state != "ready" or now - word.heard > SILENCE
+    ]
+    if wrong:
+        slow, fast = ports_to_robot(settings)
+        advice = f"UDP, ports {slow} and {fast} of {settings.link.robot}, must lead to the robot's end"
+        return Finding("link", "warn", "; ".join(wrong), advice)
+    told = f"{' and '.join(names)}: the other end is heard; the operator's ROS domain is {settings.link.domain}"
+    return Finding("link", "ok", told)
+
+
 CHECKS: tuple[Callable[[Instance], Finding], ...] = (
     _python,
     *((_compiler,) if IN_CHECKOUT else ()),
@@ -273,5 +303,6 @@ CHECKS: tuple[Callable[[Instance], Finding], ...] = (
     _supervisor,
     _keys,
     _ports,
+    _link,
     _leftovers,
 )

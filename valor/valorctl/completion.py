@@ -8,11 +8,10 @@ from pathlib import Path
 
 import typer
 
-from valor.common import resources
+from valor.common import mode_names, resources
 from valor.common.instance import Instance, Settings
 from valor.common.processes import BY_NAME
 from valor.simulation.world_names import WORLD_NAMES
-from valor.valorctl import mode_names
 from valor.valorctl.log_reader import LEVELS
 
 Names = Callable[[typer.Context], Iterable[str]]
@@ -31,6 +30,7 @@ def completer(names: Names) -> Callable[[typer.Context, str], list[str]]:
 
 
 profiles = completer(lambda _: resources.profiles())
+deployments = completer(lambda _: resources.deployments())
 robots = completer(lambda _: resources.robots())
 plans = completer(lambda _: resources.plans())
 worlds = completer(lambda _: WORLD_NAMES)

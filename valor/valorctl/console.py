@@ -102,7 +102,10 @@ def progress() -> Iterator[Progress]:
 
 @contextlib.contextmanager
 def bar(what: str, total: float, unit: str, digits: int = 1) -> Iterator[Callable[[float], None]]:
-    """A bar that fills up on a terminal; elsewhere a line at every tenth. Gives what to call with how much is done."""
+    """A bar that fills up on a terminal, with the time that is left; elsewhere a line at every tenth.
+
+    Gives what to call with how much is done.
+    """
     if not sys.stdout.isatty():
         tenth = 0
 
@@ -114,13 +117,13 @@ def bar(what: str, total: float, unit: str, digits: int = 1) -> Iterator[Callabl
 
         yield line
         return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn(f"{{task.completed:.{digits}f}} of {{task.total:.{digits}f}} {unit}"),
-        TimeElapsedColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
     )
     with Progress(*columns, console=rich_console(wrap=True), transient=True) as shown:
         task = shown.add_task(what, total=total)

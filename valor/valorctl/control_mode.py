@@ -7,14 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import bifrost
+from valor.common import mode_names
+from valor.common.behaviors import Obstacle
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import BehaviorReply, BehaviorRequest, ControlModeReport, ModeStatus
 from valor.common.topics import BEHAVIOR, CONTROL_MODE
-from valor.valorctl import mode_names
 from valor.valorctl.node import hear, join
 
-ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
+ACTION = "mode_controllers/control_mode_controller/change_control_mode"
 CHANGE_TIMEOUT = 60.0  # a change may have to wait for the robot to move [s]
 _REPORT_TIMEOUT = 2.0  # reports come ten times a second [s]
 _LOOK = 0.05  # [s]
@@ -131,9 +132,9 @@ def _reach(
     while time.monotonic() - began <= CHANGE_TIMEOUT:
         check()
         reply = client.call(BehaviorRequest(behavior), timeout=CHANGE_TIMEOUT)
-        if not reply.accepted:
+        if not reply.accepted and reply.obstacle != Obstacle.WAIT:
             return reply.reason
-        if reply.behavior == behavior:
+        if reply.accepted and reply.behavior == behavior:
             return ""
         time.sleep(_LOOK)
     return f"{behavior} not reached within {CHANGE_TIMEOUT:g} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -10,6 +11,8 @@ from pathlib import Path
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.robot.description import RobotDescription
+from valor.robot.size import narrowness
 from valor.simulation import worlds
 from valor.simulation.worlds.dirt import Dirt
 from valor.valorctl import startup, walking
@@ -17,7 +20,7 @@ from valor.valorctl.console import Progress, bar, say
 from valor.valorctl.interruption import InterruptedBySignalError, Interruption
 
 WORLD = "dirt"
-SPEED = 0.4  # forward, unless another is asked for [m/s]
+SPEED = 0.4  # forward, of ESCHER [m/s]
 
 Drawing = tuple[str, Callable[[], list[Path]]]  # what is drawn, and who makes which files
 
@@ -27,6 +30,13 @@ def course() -> float:
     world = worlds.WORLDS[WORLD]
     assert isinstance(world, Dirt)
     return world.course
+
+
+def speed(robot: RobotDescription) -> float:
+    """Forward, unless another is asked for: at ESCHER's Froude number, on narrow soles slower [m/s]."""
+    feet = robot.tables.feet
+    narrow = narrowness(robot.tables.size.leg, min(feet.left.half_width, feet.right.half_width))
+    return SPEED * math.sqrt(worlds.size_of(robot) * narrow)
 
 
 class Failures:
@@ -100,6 +110,30 @@ def tell(files: Iterable[Path], progress: Progress) -> None:
         if file.exists():
             size = file.stat().st_size
             progress.done(f"{file} ({size / 1e6:.0f} MB)" if size >= 1e6 else f"{file} ({size / 1e3:.0f} kB)")
+
+
+def require_film(file: Path | None) -> None:
+    """Look at the ending of a film's name before anything moves.
+
+    Raises:
+        ConfigurationError: it is none of those known.
+    """
+    if file is not None:
+        from valor.analysis.film import files
+
+        files.kind(file)
+
+
+def film(bag: Path, file: Path | None, failures: Failures, progress: Progress) -> None:
+    """Film the whole bag, if a film is wanted."""
+    if file is None:
+        return
+    from valor.analysis.film.film import Order
+    from valor.valorctl import filming
+
+    progress.clear()
+    with failures.kept():
+        filming.shoot(bag, file, Order(overlays=("modes",)))
 
 
 def suggest(*commands: tuple[str, str]) -> None:

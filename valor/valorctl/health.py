@@ -102,7 +102,14 @@ def _published(topic: bifrost.TopicInfo | None) -> bool:
 
 
 class Listener:
-    """Hears the words of an instance's processes. Used from one thread."""
+    """Hears the words of an instance's processes. Used from one thread.
+
+    Attributes:
+        words: the newest of each process.
+        beyond: processes whose messages do not come here.
+    """
+
+    beyond: frozenset[str] = frozenset()
 
     def __init__(self, instance: Instance, names: Iterable[str]) -> None:
         """Raise ``bifrost.ConfigurationError`` when the network or the keys are not readable."""
@@ -116,6 +123,10 @@ class Listener:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave."""
         self.node.close()
 
     def listen(self, timeout: float, others: Sequence[bifrost.Subscriber[Any]] = ()) -> None:

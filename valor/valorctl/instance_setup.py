@@ -5,26 +5,30 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import secrets
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 import bifrost
 from valor.bags import recordings
-from valor.common import membership, whole_file
+from valor.common import membership, mode_names, whole_file
 from valor.common.bounds import Bounds
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
-from valor.common.instance import ClockMode, Instance, Recording, RosCommands, Settings
-from valor.common.processes import RECORDER
+from valor.common.instance import ClockMode, Instance, Link, Recording, RosCommands, Settings, ros_namespace
+from valor.common.processes import BY_NAME, FOXGLOVE, LINK, OPERATOR_STOP, PROCESSES, RECORDER, VIEW
 from valor.common.resources import profile_file, robot_folder
+from valor.common.viewing import Viewing
 from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES
-from valor.valorctl import mode_names, recording_options
+from valor.valorctl import foxglove_options, middleware, recording_options
+from valor.valorctl.hosts.deployment import Deployment
 from valor.valorctl.profile import Profile
 from valor.valorctl.robot_check import require_sound
 from valor.valorctl.ros_domain import daemon_ports
@@ -43,12 +47,21 @@ class Request:
     seed: int | None = None
     world: str | None = None
     real_time_factor: float | None = None
+    wait_for_vrc: bool | None = None
     bag: Path | None = None
     bag_bound: tuple[str, ...] = ()
     no_bag: bool = False
     recording: Recording = field(default_factory=Recording)
     initial_mode: str | None = None  # empty: leave the robot as it starts
     ros_commands: RosCommands = "all"
+    foxglove: str | None = None  # [HOST:]PORT; empty: the usual one
+    view: Viewing | None = None  # serve the operator's page there
+    link: Link = field(default_factory=Link)  # its domain: none, unless there is one
+    ros_domain: int | None = None
+    namespace: str = ""
+    peers: tuple[str, ...] | None = None
+    deployment: Deployment | None = None
+    here: str = ""  # which of the deployment's hosts this is
 
 
 @dataclass(frozen=True)
@@ -58,6 +71,8 @@ class Plan:
     profile: Profile
     settings: Settings  # but for the ROS domain, which is chosen when the instance is made
     initial_mode: str | None
+    ros_domain: int | None  # None: one that nobody uses
+    viewing: Viewing | None = None  # where the operator's page is served; None: nowhere
 
 
 def plan(request: Request) -> Plan:
@@ -74,6 +89,11 @@ def plan(request: Request) -> Plan:
     moved = {"comms_manager", "motion_manager"}.intersection(profile.processes)
     robot = (require_sound if moved else RobotDescription.load)(folder, profile.control_rate)
     _check(robot, profile, file)
+    listed = profile.processes
+    if request.deployment is not None:
+        profile = msgspec.structs.replace(profile, processes=request.deployment.processes)
+        listed = profile.processes
+    profile = _with_options(profile, request)
     settings = Settings(
         profile=request.profile,
         variant=profile.variant,
@@ -85,19 +105,25 @@ def plan(request: Request) -> Plan:
         seed=defaults.seed if request.seed is None else request.seed,
         world=request.world or defaults.world,
         real_time_factor=(defaults.real_time_factor if request.real_time_factor is None else request.real_time_factor),
+        wait_for_vrc=defaults.wait_for_vrc if request.wait_for_vrc is None else request.wait_for_vrc,
         ros_domain_id=0,
         ros_commands=request.ros_commands,
+        namespace=ros_namespace(request.namespace),
+        peers=middleware.addresses(profile.peers if request.peers is None else request.peers),
         bag=_bag(request.bag),
         recording=msgspec.structs.replace(request.recording, bounds=_bounds(request, profile)),
+        asked=tuple(name for name in profile.processes if BY_NAME[name].option),
+        foxglove=foxglove_options.listening(request.foxglove or ""),
+        **_hosts(request, profile, listed),
+        link=request.link if request.deployment is None else request.deployment.link_settings,
     )
+    if FOXGLOVE in settings.asked:
+        foxglove_options.require(settings.foxglove)
     for key, known in (("actuators", robot.tables.actuators), ("world", WORLD_NAMES)):
         if getattr(request, key) is not None:
             require_one_of(f"--{key}", getattr(request, key), known)
         elif (default := getattr(defaults, key)) not in known:
             raise Document.load(file).error(("defaults", key), expected(default, known))
-    if request.no_bag:
-        _expect_no_bag_options(request)
-        profile = profile.without(RECORDER)
     initial_mode = profile.initial_mode if request.initial_mode is None else request.initial_mode
     if request.initial_mode and "valor_ros_controller" not in profile.processes:
         raise ConfigurationError(
@@ -105,7 +131,41 @@ def plan(request: Request) -> Plan:
         )
     if initial_mode:
         require_one_of("--initial-mode", initial_mode, mode_names.initial())
-    return Plan(profile.suiting(robot), settings, initial_mode or None)
+    return Plan(profile.suiting(robot), settings, initial_mode or None, request.ros_domain, request.view)
+
+
+def _hosts(request: Request, profile: Profile, listed: Collection[str]) -> dict[str, Any]:
+    """What the settings say of the hosts: with what options ask for, and without what they do not want."""
+    if request.deployment is None:
+        return {}
+    if request.link.domain is not None:
+        raise ConfigurationError("--link: both ends run on this computer; expected `link:` in --deployment's file")
+    asked = {VIEW: request.view is not None, "--foxglove": request.foxglove is not None}
+    for host, row in request.deployment.hosts.items():
+        for name in row.processes:
+            if host != request.here and asked.get(BY_NAME[name].option):
+                raise ConfigurationError(
+                    f"{BY_NAME[name].option}: {name} runs on {host}; expected `up` there, or no option"
+                )
+    also = [name for name in profile.processes if name not in listed]
+    but = [name for name in listed if name not in profile.processes]
+    return {"deployment": request.deployment.name, "hosts": request.deployment.table(request.here, also, but)}
+
+
+def _with_options(profile: Profile, request: Request) -> Profile:
+    """With what options ask for, and without what they do not want."""
+    if request.foxglove is not None:
+        profile = profile.adding(FOXGLOVE)
+    asked = {VIEW: request.view is not None, LINK: request.link.domain is not None}
+    at_robot = request.deployment is None or request.here not in request.deployment.operators
+    for process in PROCESSES:
+        stop = process.name == OPERATOR_STOP  # it speaks Bifrost with the robot: not from behind a link
+        if asked.get(process.option) and not (stop and (asked[LINK] or not at_robot)):
+            profile = profile.adding(process.name)
+    if request.no_bag:
+        _expect_no_bag_options(request)
+        profile = profile.without(RECORDER)
+    return profile
 
 
 def _robot_folder(request: Request, default: str, file: Path) -> Path:
@@ -162,8 +222,21 @@ def _expect_no_bag_options(request: Request) -> None:
         raise ConfigurationError("--no-bag: expected without another option that says what is recorded, or where")
 
 
-def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
+def make(
+    instance: Instance,
+    wanted: Settings,
+    ros_domain: int,
+    block: int,
+    bring: Callable[[Instance], object] | None = None,
+) -> Settings:
     """Make the folder, and write network, keys and settings.
+
+    Args:
+        instance: whose folder it is.
+        wanted: what its settings shall be, but for the domain and the ports.
+        ros_domain: its ROS domain.
+        block: number of the ports that are its own.
+        bring: writes network and keys that are there already; None: new ones are made.
 
     Raises:
         ConfigurationError: the folder cannot be written.
@@ -177,10 +250,18 @@ def make(instance: Instance, wanted: Settings, ros_domain: int) -> Settings:
         recordings.save_bounds(instance.bags, wanted.recording.bounds)
         _make_private(instance.folder)
         _rotate_logs(instance)
-        bifrost.Network.create(
-            instance.network_file, instance.keys, ports=daemon_ports(ros_domain), charter=membership.charter(instance)
+        if bring is not None:
+            bring(instance)
+        else:
+            ports, charter = daemon_ports(block), membership.charter(instance)
+            bifrost.Network.create(instance.network_file, instance.keys, ports=ports, charter=charter)
+        settings = msgspec.structs.replace(
+            wanted, ros_domain_id=ros_domain, port_block=block, epoch=time.monotonic_ns()
         )
-        settings = msgspec.structs.replace(wanted, ros_domain_id=ros_domain, epoch=time.monotonic_ns())
+        if settings.peers:
+            whole_file.write(instance.middleware_file, middleware.profile(settings.peers))
+        for token in (instance.operator_token, instance.viewer_token):
+            whole_file.write(token, secrets.token_urlsafe(9))
         whole_file.write(instance.settings_file, settings.json())
     except OSError as error:
         raise ConfigurationError(f"{error.filename or instance.folder}: {error.strerror}") from None

@@ -128,6 +128,9 @@ def files_of(instance: Instance) -> list[Path]:
         instance.keys,
         instance.owners,
         instance.behavior_file,
+        instance.operator_token,
+        instance.viewer_token,
+        instance.viewing_file,
         supervisor_config.config_file(instance),
         supervisor_config.pid_file(instance),
         *instance.folder.glob(f"*{instance.network_file.stem}.*.nodes*"),  # what a killed bifrostd has left

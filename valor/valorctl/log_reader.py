@@ -96,6 +96,7 @@ class LogReader:
             of = f"of {name} " if name else ""
             raise ValorError(f"instance {instance.name!r}: no log {of}in {instance.logs}")
         self._since, self._lines = since, lines
+        self.problems: tuple[str, ...] = ()  # of computers that are gone: it reads files of this one
         self._begun = False
         self._gravest = frozenset(LEVELS[LEVELS.index(level) if level else 0 :])
 

@@ -3,24 +3,53 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 
 from valor.common.errors import ValorError
-from valor.common.instance import Instance
+from valor.common.instance import Instance, Settings
 from valor.common.processes import BY_NAME
-from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor
+from valor.valorctl.health import Listener
+from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervising, Supervisor
 
 
-def require_up(instance: Instance) -> Supervisor:
-    """The instance's supervisor.
+def require_up(instance: Instance) -> Supervising:
+    """Who starts and stops the instance's processes, on this computer or on several.
 
     Raises:
         ValorError: it is not up, or its supervisor is gone.
     """
-    instance.settings()
+    if (settings := instance.settings()).hosts:
+        return supervising(instance, settings)
     supervisor = Supervisor(instance)
     if not supervisor.answers():
         raise ValorError(unsupervised(instance, len(processes_found(instance))))
     return supervisor
+
+
+def supervising(instance: Instance, settings: Settings) -> Supervising:
+    """Who starts and stops the processes of an instance that is up: this computer's supervisord, or all hosts'.
+
+    Raises:
+        ConfigurationError: this computer has not joined the deployment.
+    """
+    if not settings.hosts:
+        return Supervisor(instance)
+    from valor.valorctl.hosts.fleet import Fleet
+
+    return Fleet(instance, settings)
+
+
+def listening(instance: Instance, settings: Settings, names: Iterable[str]) -> Listener:
+    """Who hears what processes of an instance that is up say of themselves, beyond a link, too.
+
+    Raises:
+        ConfigurationError: as ``Listener``, or as ``supervising``.
+    """
+    if not settings.processes_beyond(settings.here):
+        return Listener(instance, names)
+    from valor.valorctl.hosts.words import FarListener
+
+    return FarListener(instance, settings, names)
 
 
 def require_running() -> Instance:

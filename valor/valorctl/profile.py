@@ -7,6 +7,7 @@ from typing import Annotated
 
 from msgspec import Meta, field, structs
 
+from valor.common import mode_names
 from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError, expected
 from valor.common.instance import ClockMode, Variant
@@ -14,7 +15,7 @@ from valor.common.processes import BY_NAME, Process
 from valor.common.table import NonNegative, Table, TableError, read
 from valor.robot.description import RobotDescription
 from valor.robot.tables import ControlRate
-from valor.valorctl import mode_names, recording_options
+from valor.valorctl import recording_options
 
 MODES = "valor_ros_controller"  # the process that knows control modes
 
@@ -28,6 +29,7 @@ class Defaults(Table):
     world: str = "flat"
     seed: Annotated[int, Meta(ge=0)] = 0
     real_time_factor: NonNegative = 1.0
+    wait_for_vrc: bool = True  # in lockstep: the world waits for the VRC
     bag_bound: tuple[str, ...] = ()  # of all recordings: 20GB, 30d, 10% (docs/bag_recorder.md)
 
 
@@ -39,13 +41,15 @@ class Profile(Table, kw_only=True):
     control_rate: ControlRate | None = None  # instead of the robot's own [Hz]
     # Of devices, where they are not the emulators' (valor/devices/ports.py).
     ports: dict[str, str] = field(default_factory=dict)
-    processes: Annotated[tuple[str, ...], Meta(min_length=1)] = ()  # none named: all that the variant has
+    processes: Annotated[tuple[str, ...], Meta(min_length=1)] = ()  # none named: all that the variant has, unasked
     initial_mode: str | None = None
+    peers: tuple[str, ...] = ()  # other computers that ROS 2 reaches; none: it stays on this one
     defaults: Defaults = Defaults()
 
     def __post_init__(self) -> None:
         hardware = self.variant == "hardware"
-        everything = tuple(name for name, row in BY_NAME.items() if hardware or not row.hardware_only)
+        usual = (row for row in BY_NAME.values() if not row.option)
+        everything = tuple(row.name for row in usual if hardware or not row.hardware_only)
         structs.force_setattr(self, "processes", self.processes or everything)
         try:
             recording_options.bounds(self.defaults.bag_bound, Bounds(), "defaults.bag_bound")
@@ -89,6 +93,10 @@ class Profile(Table, kw_only=True):
     def without(self, name: str) -> Profile:
         """The profile without a process that no other needs."""
         return structs.replace(self, processes=tuple(each for each in self.processes if each != name))
+
+    def adding(self, name: str) -> Profile:
+        """The profile with a process that an option asks for."""
+        return structs.replace(self, processes=tuple(dict.fromkeys((*self.processes, name))))
 
     @property
     def table(self) -> tuple[Process, ...]:

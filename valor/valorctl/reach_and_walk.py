@@ -33,6 +33,7 @@ class Wanted:
 
     robot: str | None  # a name of ``robots/``, or a folder; None: the profile's
     real_time_factor: float
+    video: Path | None  # where its film goes; None: none is made
 
 
 def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, interruption: Interruption) -> None:
@@ -48,6 +49,7 @@ def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, inter
     Raises:
         ValorError: a part of it failed; says which.
     """
+    demonstration.require_film(wanted.video)
     program = example_file(PROGRAM)
     robot = RobotDescription.load(instance_setup.plan(instance_setup.Request(robot=wanted.robot)).settings.robot)
     arm_motion.require_limbs(robot, "demo (`demo walk` walks alone)", GROUP)
@@ -56,13 +58,14 @@ def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, inter
         robot=wanted.robot, actuators="hardware", world=demonstration.WORLD,
         real_time_factor=wanted.real_time_factor, bag=bag,
     )  # fmt: skip
-    order = walking.Order(forward=demonstration.SPEED, distance=DISTANCE, straight=True)
+    order = walking.Order(forward=demonstration.speed(robot), distance=DISTANCE, straight=True)
     failures = demonstration.Failures()
     with startup.running(instance, request, progress, interruption) as settings, failures.kept():
         _run_client(instance, [program, "--json", measurements, *_told(robot, out)], interruption)
         demonstration.walk(instance, order, progress, interruption)
     made = demonstration.draw(_drawings(bag, settings.robot, out), failures, progress, interruption)
     demonstration.tell([bag, measurements, *made], progress)
+    demonstration.film(bag, wanted.video, failures, progress)
     failures.tell()
     demonstration.suggest(
         ("demo walk", f"the whole course, {demonstration.course():.0f} m"),

@@ -11,6 +11,8 @@ from valor.whole_body.tuning_checks import margins_fit_the_soles
 if TYPE_CHECKING:
     from valor.robot.soundness import Findings
 
+_TOLD = 6  # differences of the sides
+
 
 def examine(folder: Path, control_rate: float | None = None) -> Findings:
     """All faults of a robot's folder.
@@ -31,3 +33,21 @@ def require_sound(folder: Path, control_rate: float | None = None) -> RobotDescr
         ConfigurationError: a line for each fault, with file, line and key.
     """
     return examine(folder, control_rate).require_none()
+
+
+def notes(findings: Findings) -> list[str]:
+    """What is no fault, and worth knowing: what nothing drives, and how far the sides are from mirror images."""
+    from valor.robot.checks import Stance
+    from valor.robot.symmetry import asymmetries
+
+    if findings.robot is None or findings.faults:
+        return []
+    differing = list(asymmetries(Stance(findings.robot)))
+    more = [f"and {len(differing) - _TOLD} more that differ"] if len(differing) > _TOLD else []
+    return [*_passive(findings.robot), *differing[:_TOLD], *more]
+
+
+def _passive(robot: RobotDescription) -> list[str]:
+    kinds = {"simulated, fixed for controllers": True, "welded": False}
+    named = {kind: [n for n, each in robot.tables.passive.items() if each.simulated is m] for kind, m in kinds.items()}
+    return [f"nothing drives, {kind}: {', '.join(names)}" for kind, names in named.items() if names]

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import shlex
-import shutil
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.resources import robots
+from valor.valorctl import whole_folder
 from valor.valorctl.console import Progress, progress, say, say_rows
 from valor.valorctl.interruption import Interruption
 
@@ -46,10 +43,10 @@ def make(model: Path, name: str | None, out: Path | None, *, guess: bool, replac
         folder = (out or Path(made.content.name)).expanduser()
         _require_free(folder, model, replace)
         shown.stage(f"writing {folder}")
-        with Interruption() as interruption, _beside(folder) as draft:
+        with Interruption() as interruption, whole_folder.beside(folder) as draft:
             made.write(draft)
             interruption.check()
-            _put(draft, folder)
+            whole_folder.put(draft, folder)
     say_rows(_found(made))
     here = shlex.quote(f"./{folder}" if str(folder) in robots() else str(folder))  # not ours of that name
     say(f"\n{folder}: model.xml and {TABLE}, in which every guess says why. Next:")
@@ -75,38 +72,9 @@ def _asking(shown: Progress) -> Ask:
 
 
 def _require_free(folder: Path, model: Path, replace: bool) -> None:
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise ConfigurationError(f"{folder}: is a file; expected a new folder")
-    if not any(folder.iterdir()):
-        return
-    if not replace:
-        raise ConfigurationError(f"{folder}: is there already; expected another --out, or --force to replace it")
-    if not (folder / TABLE).is_file():
-        raise ConfigurationError(f"{folder}: --force replaces robots' folders only, and this one has no {TABLE}")
-    if folder.resolve() in model.resolve().parents:
+    whole_folder.require_free(folder, TABLE, "robots' folders", replace)
+    if folder.exists() and folder.resolve() in model.resolve().parents:
         raise ConfigurationError(f"{folder}: holds {model.name}, which it is made of; expected another --out")
-
-
-@contextlib.contextmanager
-def _beside(folder: Path) -> Iterator[Path]:
-    """An empty folder beside one that is to be; gone afterwards."""
-    try:
-        folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.absolute().parent) as room:
-            draft = Path(room) / folder.name
-            draft.mkdir()
-            yield draft
-    except OSError as error:
-        raise ConfigurationError(f"{folder}: {error.strerror or error}") from None
-
-
-def _put(draft: Path, folder: Path) -> None:
-    """What is in the way goes out of it with the draft's room."""
-    if folder.exists():
-        shutil.move(folder, draft.with_name(f"{folder.name}.before"))
-    draft.rename(folder)
 
 
 def _found(made: Study) -> list[tuple[str, str]]:
@@ -136,7 +104,8 @@ def _found(made: Study) -> list[tuple[str, str]]:
         ("neck", names(robot.neck)),
         ("hands", f"{len(fingers)} joints" if fingers else "no joints"),
         *((group, names(joints)) for group, joints in robot.others.items()),
-        ("welded", names(robot.passive)),
+        ("simulated, undriven", names(sorted(robot.passive.simulated))),
+        ("welded", names([*(j for j, moves in robot.passive.hinges.items() if not moves), *robot.passive.gone])),
         ("soles", ", ".join(dict.fromkeys(soles))),
         (
             "leg",

@@ -32,7 +32,7 @@ class GoalRefusedError(ValorError):
 
 
 class RosClient:
-    """A node on the instance's ROS domain. Used from one thread."""
+    """A node in the instance's ROS domain and namespace. Used from one thread."""
 
     def __init__(self, instance: Instance, check: Callable[[], None] = lambda: None) -> None:
         """Join the instance.
@@ -60,6 +60,7 @@ class RosClient:
             use_global_arguments=False,
             enable_rosout=False,
             start_parameter_services=False,
+            cli_args=[*instance.settings().ros_arguments],
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -97,7 +98,7 @@ class RosClient:
         from rcl_interfaces.srv import SetParameters
         from rclpy.parameter import Parameter
 
-        client = self._node.create_client(SetParameters, f"/{node}/set_parameters")
+        client = self._node.create_client(SetParameters, f"{node}/set_parameters")
         try:
             self._spin(client.service_is_ready, _SERVER_TIMEOUT, f"{node}: no service set_parameters")
             parameter = Parameter(name, value=value).to_parameter_msg()
@@ -165,7 +166,7 @@ class RosClient:
             if time.monotonic() - began > _DIAGNOSTICS_AGE:
                 told.extend(pair.value for status in message.status for pair in status.values if pair.key == key)
 
-        subscription = self._node.create_subscription(DiagnosticArray, "/diagnostics", hear, 1)
+        subscription = self._node.create_subscription(DiagnosticArray, "diagnostics", hear, 1)
         try:
             self._spin(lambda: bool(told), _DIAGNOSTICS_TIMEOUT, "")
         except ValorError:

@@ -13,9 +13,9 @@ import errno
 import hashlib
 import json
 import socket
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
@@ -79,9 +79,37 @@ def reserve(key: str, but: Collection[int] = ()) -> Reservation:
     return Reservation(domain, holders[domain])
 
 
-def reserve_for(instance: Instance) -> Reservation:
-    """Take a domain for an instance; raises as ``reserve``."""
-    return reserve(str(instance.folder), taken(instance.folder.parent, but=instance))
+def reserve_for(instance: Instance, wanted: int | None = None) -> Reservation:
+    """Take a domain for an instance: the one that it wants, or where somebody is in it already, another.
+
+    What goes with the domain that is taken is the instance's alone; the domain wanted it then shares.
+
+    Raises:
+        ValorError: all are taken.
+    """
+    others = taken(instance.folder.parent, but=instance)
+    if wanted is None:
+        return reserve(str(instance.folder), others)
+    if wanted in DOMAINS and wanted not in others and is_free(wanted) and (holder := _hold(wanted)):
+        return Reservation(wanted, holder)
+    return reserve(str(instance.folder), others | {wanted})
+
+
+def refuse_namesake(instance: Instance, domain: int, namespace: str) -> None:
+    """See that no other instance of the home has the domain and the namespace, too.
+
+    Raises:
+        ValorError: names it.
+    """
+    for file, settings in _settings(instance.folder.parent):
+        if file == instance.settings_file or settings.get("ros_domain_id") != domain:
+            continue
+        if settings.get("namespace", "") == namespace:
+            where = f"namespace {namespace!r}" if namespace else "no namespace"
+            raise ValorError(
+                f"ROS domain {domain} has instance {file.parent.name!r} with {where}, too; "
+                "expected another --namespace, or another --domain"
+            )
 
 
 def choose(key: str, taken: Collection[int], is_free: Callable[[int], bool]) -> int:
@@ -130,12 +158,20 @@ def is_reserved(domain: int) -> bool:
 
 def taken(home: Path, but: Instance | None = None) -> set[int]:
     """The ROS domains of the instances under a home, but of one; also of those whose supervisord was killed."""
-    found = set()
-    for file in home.glob("*/instance.json"):
+    found: set[int] = set()
+    for file, settings in _settings(home):
         if but is None or file != but.settings_file:
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-                found.add(int(json.loads(file.read_text())["ros_domain_id"]))
+            numbers = (settings.get("ros_domain_id"), settings.get("port_block"))
+            found.update(number for number in numbers if isinstance(number, int) and number)
     return found
+
+
+def _settings(home: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Of the instances under a home, as far as they can be read."""
+    for file in sorted(home.glob("*/instance.json")):
+        with contextlib.suppress(OSError, ValueError):
+            if isinstance(settings := json.loads(file.read_text()), dict):
+                yield file, settings
 
 
 def _hold(domain: int) -> socket.socket | None:

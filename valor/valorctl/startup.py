@@ -8,24 +8,32 @@ import resource
 import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from pathlib import Path
 
 from valor.common.errors import ConfigurationError, ValorError, expected
 from valor.common.instance import Instance, Settings
+from valor.common.mode_names import PREPARING
 from valor.common.processes import BY_NAME, Process
-from valor.valorctl import instance_setup, leftovers, presence, ros_domain, shutdown, supervision, supervisor_config
+from valor.valorctl import (
+    instance_setup,
+    leftovers,
+    presence,
+    ros_domain,
+    shutdown,
+    supervision,
+    supervisor_config,
+    viewing,
+)
 from valor.valorctl.console import Progress
 from valor.valorctl.health import Health, Listener, judge
 from valor.valorctl.interruption import Interruption
-from valor.valorctl.mode_names import PREPARING
-from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervisor
+from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervising, Supervisor
 
 # Without another process getting ready [s]. One that ends is noticed at once; this is for those that hang on a busy
 # computer.
 READY_TIMEOUT = 120.0
-_TAIL_LINES = 12
 PREPARATION_TIMEOUT = 30.0  # [s]
 RETRY_PERIOD = 0.5  # [s]
+UNTOLD = ""  # in place of the current mode, by a link whose ends have not heard each other yet
 
 
 class StartError(ValorError):
@@ -100,15 +108,19 @@ def _bring_up(
     instance: Instance, plan: instance_setup.Plan, progress: Progress, interruption: Interruption
 ) -> Settings:
     processes = plan.profile.table
-    with ros_domain.reserve_for(instance) as reservation:  # from then on supervisord holds it
-        settings = instance_setup.make(instance, plan.settings, reservation.domain)
+    with ros_domain.reserve_for(instance, plan.ros_domain) as reservation:  # from then on supervisord holds it
+        domain = reservation.domain if plan.ros_domain is None else plan.ros_domain
+        ros_domain.refuse_namesake(instance, domain, plan.settings.namespace)
+        settings = instance_setup.make(instance, plan.settings, domain, reservation.domain)
+        if plan.viewing is not None:
+            viewing.decide(instance, plan.viewing)
         interruption.check()
         environment = supervisor_config.environment(instance, sys.executable, os.environ)
         supervisor = supervision.launch(instance, processes, environment, reservation.fileno(), interruption.check)
     with Listener(instance, [process.name for process in processes]) as listener:
-        _start(instance, supervisor, listener, processes, progress=progress, interruption=interruption)
+        start(supervisor, listener, processes, progress=progress, interruption=interruption)
     if plan.initial_mode is not None:
-        _enter_initial_mode(instance, plan.initial_mode, progress, interruption)
+        enter_initial_mode(instance, supervisor, plan.initial_mode, progress, interruption)
     return settings
 
 
@@ -122,16 +134,19 @@ def free(processes: Iterable[Process], ready: Collection[str], present: Collecti
     ]
 
 
-def _start(
-    instance: Instance,
-    supervisor: Supervisor,
+def start(
+    supervisor: Supervising,
     listener: Listener,
     processes: Sequence[Process],
     *,
     progress: Progress,
     interruption: Interruption,
 ) -> None:
-    """Start processes, each as soon as it may, and wait until all are ready."""  # fmt: skip
+    """Start processes, each as soon as it may, and wait until all are ready.
+
+    Raises:
+        ValorError: one is not; carries its last words.
+    """  # fmt: skip
     began = changed = time.monotonic()
     names = [process.name for process in processes]
     ready = set(supervisor.processes()) - set(names)  # those that run already
@@ -151,7 +166,7 @@ def _start(
         infos = supervisor.processes()
         health = {name: judge(infos[name], listener.words.get(name), now) for name in started}
         for name in started:
-            _require_first_run(instance, infos[name], pids, supervisor)
+            _require_first_run(infos[name], pids, supervisor)
         for name in [name for name in waiting if name in started and health[name].state in ("ready", "degraded")]:
             waiting.remove(name)
             ready.add(name)
@@ -160,7 +175,7 @@ def _start(
             progress.done(f"{name} {how} ({now - began:.1f} s)")
         late = [health[name] for name in waiting if name in started]
         if now - changed > READY_TIMEOUT:
-            raise _not_ready(instance, late)
+            raise _not_ready(supervisor, late)
         progress.waiting(f"{int(now - began)} s, waiting for " + ", ".join(_describe(each) for each in late))
 
 
@@ -168,50 +183,45 @@ def _describe(health: Health) -> str:
     return f"{health.name} ({health.detail})" if health.detail else health.name
 
 
-def _require_first_run(instance: Instance, info: ProcessInfo, pids: dict[str, int], supervisor: Supervisor) -> None:
+def _require_first_run(info: ProcessInfo, pids: dict[str, int], supervisor: Supervising) -> None:
     """A process that ends while the instance comes up will do so again: fail with its words now."""
     first = pids.setdefault(info.name, info.pid) if info.pid else pids.get(info.name)
     if info.state in (ProcessState.EXITED, ProcessState.FATAL, ProcessState.BACKOFF) or info.pid != first:
         why = info.problem if info.state is ProcessState.FATAL else f"ended, {supervisor.last_end(info)}"
-        raise StartError(f"{info.name} did not start: {why}{log_tail(instance, info.name)}")
+        raise StartError(f"{info.name} did not start: {why}{supervisor.log_tail(info.name)}")
 
 
-def _not_ready(instance: Instance, late: Sequence[Health]) -> StartError:
+def _not_ready(supervisor: Supervising, late: Sequence[Health]) -> StartError:
     first = late[0]
     others = f" (nor {', '.join(health.name for health in late[1:])})" if late[1:] else ""
     return StartError(
-        f"{_describe(first)} was not ready within {READY_TIMEOUT:g} s{others}{log_tail(instance, first.name)}"
+        f"{_describe(first)} was not ready within {READY_TIMEOUT:g} s{others}{supervisor.log_tail(first.name)}"
     )
 
 
-def log_tail(instance: Instance, name: str) -> str:
-    """The last lines of a process' log, to be put behind an error's text."""
-    file = log_file(instance, name)
-    try:
-        lines = file.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
-    except OSError:
-        return ""
-    return "".join(f"\n  {line}" for line in [f"{file}:", *lines]) if lines else f" (its log {file} is empty)"
+def enter_initial_mode(
+    instance: Instance, supervisor: Supervising, mode: str, progress: Progress, interruption: Interruption
+) -> None:
+    """Bring the robot to a control mode.
 
-
-def log_file(instance: Instance, name: str) -> Path:
-    """What a process printed."""
-    return instance.logs / f"{name}.log"
-
-
-def _enter_initial_mode(instance: Instance, mode: str, progress: Progress, interruption: Interruption) -> None:
+    Raises:
+        ValorError: it is not reached; carries the VRC's last words.
+    """
     from valor.valorctl import control_mode
 
     began = time.monotonic()
     progress.waiting(f"waiting for control mode {mode}")
     change = control_mode.change(instance, mode, check=interruption.check)
-    while not change.reached and change.current == PREPARING and time.monotonic() - began < PREPARATION_TIMEOUT:
+    while (
+        not change.reached and change.current in (PREPARING, UNTOLD) and time.monotonic() - began < PREPARATION_TIMEOUT
+    ):
         progress.waiting(f"waiting for control mode {mode}: {change.reason}")
         interruption.check()
         time.sleep(RETRY_PERIOD)
         change = control_mode.change(instance, mode, check=interruption.check)
     if not change.reached:
-        raise StartError(f"valor_ros_controller: {change.describe()}{log_tail(instance, 'valor_ros_controller')}")
+        tail = supervisor.log_tail("valor_ros_controller")
+        raise StartError(f"valor_ros_controller: {change.describe()}{tail}")
     progress.done(f"control mode {mode} ({time.monotonic() - began:.1f} s)")
 
 
@@ -221,8 +231,7 @@ def restart(instance: Instance, name: str, progress: Progress, interruption: Int
     Raises:
         ValorError: the instance is not up, there is no such process, or the new one did not become ready.
     """
-    with instance_setup.changing(instance):
-        supervisor = presence.require_up(instance)
+    with instance_setup.changing(instance), contextlib.closing(presence.require_up(instance)) as supervisor:
         infos = supervisor.processes()
         if name not in infos:
             known = [each for each in BY_NAME if each in infos]
@@ -230,7 +239,7 @@ def restart(instance: Instance, name: str, progress: Progress, interruption: Int
         before = infos[name].pid
         progress.waiting(f"stopping {name}")
         supervisor.stop([name], BY_NAME[name].stop_timeout + shutdown.MARGIN)
-        with Listener(instance, [name]) as listener:
-            _start(instance, supervisor, listener, [BY_NAME[name]], progress=progress, interruption=interruption)
+        with presence.listening(instance, instance.settings(), [name]) as listener:
+            start(supervisor, listener, [BY_NAME[name]], progress=progress, interruption=interruption)
         after = supervisor.processes()[name].pid
     progress.done(f"{name} restarted: pid {before or '–'} → {after}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from valor.common.messages import ClockStatus
 from valor.common.processes import BY_NAME, Process
 from valor.valorctl.health import Health
 from valor.valorctl.recording_report import Glance
+from valor.valorctl.supervision import HostState
 
 WAY_OUT: Mapping[str, str] = {
     Behavior.FALL: "get-up",
@@ -44,6 +45,7 @@ class Status:
     services: list[Health]
     recording: Glance | None = None  # None: the profile has no recorder
     condition: Condition | None = None
+    hosts: Sequence[HostState] = ()  # none: all is on this computer
     supervised: bool = True  # whether supervisord answers, which restarts what ends
 
     @property
@@ -95,11 +97,13 @@ class Status:
             "control_mode": self.control_mode,
             "clock": {
                 "mode": clock.mode if clock else self.settings.clock,
+                "time_s": clock.time * 1e-9 if clock else None,
                 "real_time_factor": clock.real_time_factor if clock else None,
                 "real_time_factor_since_start": self.factor_since_start,
                 "slip_s": clock.slip if clock else None,
             },
             "recording": self.recording.as_json() if self.recording else None,
+            "hosts": [asdict(host) for host in self.hosts],
             "services": [
                 asdict(service) | {"pid": service.pid or None} | _row(BY_NAME[service.name])
                 for service in self.services

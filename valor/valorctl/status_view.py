@@ -24,7 +24,7 @@ def view(status: Status) -> Group:
     """One look at an instance."""
     recording = [Text(status.recording.line())] if status.recording else []
     commands = [Text(refusal, WAITING)] if (refusal := status.settings.ros_refusal) else []
-    return Group(*_heading(status), *commands, *_robot(status), _services(status), *recording)
+    return Group(*_heading(status), *commands, *_robot(status), _services(status), *_hosts(status), *recording)
 
 
 def show(look: Callable[[], Status], period: float) -> NoReturn:
@@ -94,6 +94,17 @@ def _services(status: Status) -> Table:
             Text(service.detail),
         )
     return shown
+
+
+def _hosts(status: Status) -> list[Table]:
+    """Where the processes run, and what is wrong with a host."""
+    if not status.hosts:
+        return []
+    shown = table("host", "address", "processes")
+    shown.add_column("", overflow="fold")
+    for host in status.hosts:
+        shown.add_row(host.name, host.address, ", ".join(host.processes) or "–", Text(host.problem, BAD))
+    return [shown]
 
 
 def _of(taken: float | None, budget: float) -> str:

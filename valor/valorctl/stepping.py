@@ -13,11 +13,11 @@ from valor.common.instance import Instance
 from valor.common.poses import Pose, middle
 from valor.common.transforms import TransformBuffer, TransformError
 from valor.robot.description import RobotDescription
+from valor.robot.step_plan import FEET, START, PlanStep
+from valor.robot.step_planner import Middle, plan_to
 from valor.valorctl import control_mode
-from valor.valorctl.step_plan import FEET, START, PlanStep
-from valor.valorctl.step_planner import Middle, plan_to
 
-ACTION = "/robot_controllers/footstep_controller/execute_step_plan"
+ACTION = "robot_controllers/footstep_controller/execute_step_plan"
 ODOM = "odom"
 
 _TF_TIMEOUT = 10.0  # until the soles are known [s]
@@ -136,7 +136,7 @@ def _run(
 
     robot = RobotDescription.load(instance.settings().robot)
     with RosClient(instance, check) as ros:
-        tf = _Tf(ros, robot)
+        tf = _Tf(ros, robot, instance.settings().frame_prefix)
         start = tf.soles()
         steps = make(start, robot)
         to_odom = middle(*start) if frame == START else tf.frame(frame)
@@ -144,20 +144,20 @@ def _run(
         before = control_mode.report(instance).current_control_mode
         if before not in STEPPING_MODES:
             control_mode.enter(instance, ControlMode.STEP, check)
-        flags, reason = _execute(ros, steps, planned)
+        flags, reason = _execute(ros, tf.odom, steps, planned)
         if reason == "" and before not in STEPPING_MODES and before != ControlMode.STAND:
             control_mode.enter(instance, before, check)
         tf.forget()
         return Outcome(start, planned, tf.soles(), flags, reason)
 
 
-def _execute(ros: Any, steps: Sequence[PlanStep], planned: Sequence[tuple[int, Pose]]) -> tuple[int, str]:
-    """Flags of the result, and why it is not the goal reached."""
+def _execute(ros: Any, frame: str, steps: Sequence[PlanStep], planned: Sequence[tuple[int, Pose]]) -> tuple[int, str]:
+    """Flags of the result, and why it is not the goal reached; ``frame``: odom, as tf names it."""
     from vigir_footstep_planning_msgs.action import ExecuteStepPlan
     from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, Step
 
     goal = ExecuteStepPlan.Goal()
-    goal.step_plan.header.frame_id = ODOM
+    goal.step_plan.header.frame_id = frame
     for index, (step, (foot, sole)) in enumerate(zip(steps, planned, strict=True)):
         message = Step(step_index=index, valid=True)
         message.foot.foot_index = foot
@@ -179,15 +179,20 @@ def _execute(ros: Any, steps: Sequence[PlanStep], planned: Sequence[tuple[int, P
 
 
 class _Tf:
-    """Where frames are, by ROS."""
+    """Where frames are, by ROS.
 
-    def __init__(self, ros: Any, robot: RobotDescription) -> None:
+    Attributes:
+        odom: as tf names it.
+    """
+
+    def __init__(self, ros: Any, robot: RobotDescription, prefix: str) -> None:
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from tf2_msgs.msg import TFMessage
 
         self._ros = ros
         feet = robot.tables.feet
-        self._soles = robot.frame_of(feet.left.sole), robot.frame_of(feet.right.sole)
+        self._prefix, self.odom = prefix, prefix + ODOM
+        self._soles = tuple(prefix + robot.frame_of(foot.sole) for foot in (feet.left, feet.right))
         self._buffer = TransformBuffer()
         self._heard = 0
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -213,9 +218,14 @@ class _Tf:
         Raises:
             ValorError: tf does not know it.
         """
-        if name == ODOM:
+        if name in (ODOM, self.odom):
             return Pose()
-        return self._buffer.lookup(ODOM, name)
+        try:
+            return self._buffer.lookup(self.odom, self._prefix + name)
+        except TransformError:
+            if not self._prefix:
+                raise
+        return self._buffer.lookup(self.odom, name)  # one that is not the robot's
 
     def soles(self) -> tuple[Pose, Pose]:
         """Left and right in odom now."""
@@ -223,11 +233,11 @@ class _Tf:
         def known() -> bool:
             try:
                 for name in self._soles:
-                    self._buffer.lookup(ODOM, name)
+                    self._buffer.lookup(self.odom, name)
             except TransformError:
                 return False
             return True
 
-        self._ros.wait(known, _TF_TIMEOUT, f"tf does not know {' and '.join(self._soles)} in {ODOM}")
-        left, right = (self._buffer.lookup(ODOM, name) for name in self._soles)
+        self._ros.wait(known, _TF_TIMEOUT, f"tf does not know {' and '.join(self._soles)} in {self.odom}")
+        left, right = (self._buffer.lookup(self.odom, name) for name in self._soles)
         return left, right

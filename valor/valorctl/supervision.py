@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 from xml.parsers.expat import ExpatError
 
 from valor.common.errors import ValorError
@@ -24,6 +24,7 @@ from valor.valorctl import supervisor_config
 
 START_TIMEOUT = 15.0  # until supervisord answers [s]
 CALL_TIMEOUT = 5.0  # [s]
+_TAIL_LINES = 12
 
 
 class SupervisorError(ValorError):
@@ -79,6 +80,44 @@ class _Transport(xmlrpc.client.Transport):
         return _Connection(self._file)
 
 
+@dataclass(frozen=True)
+class HostState:
+    """How a host fares: ``problem`` is empty, or says what is wrong with it, and its last word."""
+
+    name: str
+    address: str
+    processes: tuple[str, ...]
+    problem: str = ""
+
+
+class Supervising(Protocol):
+    """What starts and stops processes: a supervisord, or those of several hosts together."""
+
+    def close(self) -> None:
+        """Hold nothing any more."""
+
+    def hosts(self) -> list[HostState]:
+        """How every host fares; none: all is on this computer."""
+
+    def processes(self) -> dict[str, ProcessInfo]:
+        """All processes by name."""
+
+    def start(self, name: str) -> None:
+        """Start a process; returns once it is spawned."""
+
+    def stop(self, names: Iterable[str], timeout: float) -> None:
+        """Stop processes at once, and wait until none of them runs."""
+
+    def restarts(self) -> dict[str, int]:
+        """How often each process was restarted because it had ended by itself, since ``up``."""
+
+    def last_end(self, info: ProcessInfo) -> str:
+        """How a process ended last: an exit status, or a signal."""
+
+    def log_tail(self, name: str) -> str:
+        """The last lines of a process' log, to be put behind an error's text."""
+
+
 class Supervisor:
     """A running supervisord.
 
@@ -88,6 +127,7 @@ class Supervisor:
     def __init__(self, instance: Instance) -> None:
         self._name = instance.name
         self._log = supervisor_config.log_file(instance)
+        self._logs = instance.logs
         self._proxy = xmlrpc.client.ServerProxy(
             "http://localhost/RPC2", transport=_Transport(supervisor_config.socket_file(instance))
         )
@@ -101,6 +141,13 @@ class Supervisor:
             raise SupervisorError(
                 f"supervisord of instance {self._name!r} does not answer: {error or type(error).__name__}"
             ) from None
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def hosts(self) -> list[HostState]:
+        """How every host fares: it is this computer's alone."""
+        return []
 
     def answers(self) -> bool:
         """Whether it is there."""
@@ -155,6 +202,15 @@ class Supervisor:
     def last_end(self, info: ProcessInfo) -> str:
         """How a process ended last: an exit status, or a signal."""
         return last_end(self._log, info.name) or f"exit status {info.exit_status}"
+
+    def log_tail(self, name: str) -> str:
+        """The last lines of a process' log, to be put behind an error's text."""
+        file = self._logs / f"{name}.log"
+        try:
+            lines = file.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
+        except OSError:
+            return ""
+        return "".join(f"\n  {line}" for line in [f"{file}:", *lines]) if lines else f" (its log {file} is empty)"
 
 
 def count_restarts(log: Path) -> dict[str, int]:

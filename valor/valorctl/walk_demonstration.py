@@ -9,7 +9,7 @@ from pathlib import Path
 
 from valor.common.instance import ClockMode, Instance
 from valor.robot.description import RobotDescription
-from valor.valorctl import demonstration, startup, walking
+from valor.valorctl import demonstration, instance_setup, startup, walking
 from valor.valorctl.console import Progress, say_rows
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.interruption import Interruption
@@ -25,10 +25,11 @@ class Course:
 
     robot: str | None  # a name of ``robots/``, or a folder; None: the profile's
     distance: float  # [m]
-    speed: float  # [m/s]
+    speed: float | None  # [m/s]; None: by the robot's size
     seed: int
     clock: ClockMode
     real_time_factor: float
+    video: Path | None  # where its film goes; None: none is made
 
 
 def run(instance: Instance, wanted: Course, out: Path, progress: Progress, interruption: Interruption) -> None:
@@ -44,7 +45,10 @@ def run(instance: Instance, wanted: Course, out: Path, progress: Progress, inter
     Raises:
         ValorError: the robot did not get there, or a part failed; says which.
     """
-    order = walking.Order(forward=wanted.speed, distance=wanted.distance, straight=True)
+    demonstration.require_film(wanted.video)
+    robot = RobotDescription.load(instance_setup.plan(Request(robot=wanted.robot)).settings.robot)
+    speed = demonstration.speed(robot) if wanted.speed is None else wanted.speed
+    order = walking.Order(forward=speed, distance=wanted.distance, straight=True)
     bag, figures = demonstration.prepare(instance, out, _BAG, _FIGURES)
     request = Request(
         robot=wanted.robot, actuators="hardware", world=demonstration.WORLD, seed=wanted.seed, clock=wanted.clock,
@@ -58,6 +62,7 @@ def run(instance: Instance, wanted: Course, out: Path, progress: Progress, inter
         drawings = _evaluate(bag, figures, RobotDescription.load(settings.robot), progress)
         made = demonstration.draw(drawings, failures, progress, interruption)
     demonstration.tell([bag, figures, *made], progress)
+    demonstration.film(bag, wanted.video, failures, progress)
     failures.tell()
 
 

@@ -29,8 +29,9 @@ REST_SPEED = 0.02  # of a pelvis at rest [m/s]
 REST_DURATION = 0.5  # for which it must be [robot time, s]
 LONGEST_STOP = 20.0  # [robot time, s]
 SILENCE = 5.0  # of the Motion Manager, after which it is given up [s]
+SILENT = f"{MOTION_STATE.name} is silent for {SILENCE:g} s: see `valorctl status`"
 BEGUN_ANEW = "robot time restarted: the Comms Manager was restarted"
-OTHERS = 1.0  # to hear whether somebody else leads a robot that walks already [s]
+OTHERS = 1.0  # to hear whether somebody else leads a robot that walks already [robot time, s]
 _SLOWEST = 0.3  # of the speed asked for: a distance must be done by then
 _TO_BEGIN = 10.0  # and so long more [robot time, s]
 
@@ -146,14 +147,23 @@ def walk(
 
 
 def _require_nobody_leads(node: bifrost.Node) -> None:
-    """Two who lead a robot would each have half of their way.
+    """Two who lead a robot would each have half of their way. Who leads it may be as starved as the robot's clock is:
+    it is listened to for so long in robot time.
 
     Raises:
-        ValorError: somebody else's velocities come.
+        ValorError: somebody else's velocities come, or the Motion Manager is silent.
     """
-    heard = VELOCITY.subscriber(node).receive(timeout=OTHERS)
-    if heard is not None:
-        raise ValorError(f"the robot is being walked already: velocities come from {heard.origin}")
+    velocities, states = VELOCITY.subscriber(node), MOTION_STATE.subscriber(node)
+    until: int | None = None  # robot time [ns]
+    while True:
+        state = states.receive(timeout=SILENCE)
+        if (heard := velocities.latest()) is not None:
+            raise ValorError(f"the robot is being walked already: velocities come from {heard.origin}")
+        if state is None:
+            raise ValorError(SILENT)
+        until = state.message.time + round(OTHERS * 1e9) if until is None else until
+        if state.message.time >= until:
+            return
 
 
 def _walk(
@@ -183,7 +193,7 @@ def _walk(
                 commands.publish(run.command())
             tell(run.passed, run.way)
         elif time.monotonic() - heard > SILENCE:
-            raise ValorError(f"{MOTION_STATE.name} is silent for {SILENCE:g} s: see `valorctl status`")
+            raise ValorError(SILENT)
         time.sleep(PERIOD)
     track.add([], [each.message for each in measured.drain()])
     walked = track.track()

@@ -13,11 +13,11 @@ from valor.common.messages import BehaviorChange, ClockStatus, ControlModeReport
 from valor.common.processes import BY_NAME, RECORDER
 from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, Topic
 from valor.valorctl.console import rich_console, say_json
-from valor.valorctl.health import SILENCE, Listener, judge
-from valor.valorctl.presence import processes_found, unsupervised
-from valor.valorctl.recording_report import glance
+from valor.valorctl.health import SILENCE, judge
+from valor.valorctl.presence import listening, processes_found, supervising, unsupervised
+from valor.valorctl.recording_report import Glance, glance
 from valor.valorctl.status import Condition, Status
-from valor.valorctl.supervision import ProcessInfo, Supervisor, SupervisorError
+from valor.valorctl.supervision import ProcessInfo, SupervisorError
 
 UPTIME_STEP = 1.0  # supervisord counts whole seconds [s]
 
@@ -64,18 +64,19 @@ class Watch:
         """
         self._instance = instance
         self._settings = instance.settings()
-        self._supervisor = Supervisor(instance)
+        self._supervisor = supervising(instance, self._settings)
         infos, _ = self._processes()
         # The table's order, the order of start.
         self._names = [name for name in BY_NAME if name in infos]
-        self._listener = Listener(instance, self._names)
+        self._listener = listening(instance, self._settings, self._names)
         self._reports = _Reports(self._listener.node)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._listener.node.close()
+        self._listener.close()
+        self._supervisor.close()
 
     def look(self) -> Status:
         """What there is: waits for what is known to come, at most ``SILENCE``.
@@ -93,7 +94,7 @@ class Watch:
             words = listener.words
             mute = {n for n, info in infos.items() if info.pid and (n not in words or words[n].pid != info.pid)}
             ready = {n for n, info in infos.items() if info.pid and n not in mute and words[n].state == "ready"}
-            awaited = listener.may_speak(mute) | reports.awaited(ready)
+            awaited = listener.may_speak(mute) | reports.awaited(ready - listener.beyond)
             if not awaited or time.monotonic() > deadline:
                 break
             listener.listen(0.05, reports.subscribers)
@@ -112,10 +113,17 @@ class Watch:
                 for name in self._names
                 if name in infos
             ],
-            recording=glance(self._instance, self._settings.recording.bounds) if RECORDER in self._names else None,
+            recording=self._recording(),
+            hosts=self._supervisor.hosts(),
             condition=self._condition(change) if change else None,
             supervised=supervised,
         )
+
+    def _recording(self) -> Glance | None:
+        """Of a recorder on this computer."""
+        if RECORDER not in self._settings.processes_here(self._names):
+            return None
+        return glance(self._instance, self._settings.recording.bounds)
 
     def _change(self, info: ProcessInfo | None, now: float) -> bifrost.Received[BehaviorChange] | None:
         """The last change of behavior, if the process that runs now made it, and is not silent."""

@@ -10,7 +10,7 @@ from valor.whole_body.tuning_tables import Tuning
 
 
 def margins_fit_the_soles(robot: RobotDescription) -> Iterator[TableError]:
-    """Distances from a sole's edge are less than its half width: beyond, there is no place that keeps them.
+    """Distances to keep inside a sole's edge are less than its half width: beyond, there is no place that keeps them.
 
     Raises:
         ConfigurationError: a section cannot be read.
@@ -19,7 +19,6 @@ def margins_fit_the_soles(robot: RobotDescription) -> Iterator[TableError]:
     most = min(feet.left.half_width, feet.right.half_width)
     for key, margin in (
         ("disturbance.edge_margin", tuning.disturbance.edge_margin),
-        ("fall.dcm_margin", tuning.fall.dcm_margin),
         ("pelvis.com_margin", robot.tables.pelvis.com_margin),
         ("whole_body.contact_inset", tuning.whole_body.contact_inset),
     ):

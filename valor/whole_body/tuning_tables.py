@@ -19,7 +19,7 @@ class FallDetection(Table):
     tilt: Annotated[float, Meta(gt=0, lt=1.57)] = 0.6  # of the pelvis from upright [rad]
     height: Annotated[float, Meta(ge=0.2, lt=1)] = 0.75  # of the pelvis above the lower sole, share of the nominal one
     # Of the DCM outside the support polygon: what ESCHER survives keeps it 1 cm inside; 3 cm outside it is lost [m].
-    dcm_margin: Sole[Annotated[float, Meta(gt=0, le=0.3)]] = 0.03
+    dcm_margin: Length[Annotated[float, Meta(gt=0, le=0.3)]] = 0.03
     # Likewise of that after the step that is being taken: the next may save it [m].
     dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.1
     dcm_duration: Time[Annotated[float, Meta(ge=0, le=0.5)]] = 0.02  # for which it must be outside by more [s]
@@ -108,6 +108,12 @@ class HandMotion(Table):
     joint_speed: Positive = 0.5  # most of a joint's velocity limit
 
 
+class ArmServos(Table):
+    """What is done about arms whose servos leave weight, friction and play."""
+
+    compensation: bool = True  # False: thesis behaviour
+
+
 class Estimator(Table):
     """How far the floating-base estimator trusts what it is told."""
 
@@ -144,5 +150,6 @@ class Tuning(Table, kw_only=True):
     whole_body: WholeBody = WholeBody()
     disturbance: Disturbance = Disturbance()
     gains: GainLimits = GainLimits()
+    arm_servos: ArmServos = ArmServos()
     hand_goals: HandMotion = HandMotion()
     estimator: Estimator = Estimator()

@@ -19,6 +19,7 @@ from dynamixel_sdk import (
     COMM_RX_CORRUPT,
     COMM_RX_TIMEOUT,
     COMM_SUCCESS,
+    COMM_TX_FAIL,
     GroupSyncRead,
     GroupSyncWrite,
     PortHandler,
@@ -207,11 +208,19 @@ class DynamixelPort:
     def _again(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
         """Make a request until there is an answer, or enough of it: answer, result, error."""
         for _ in range(TRIES - 1):
-            answer = request()
+            answer = self._asked(request)
             if answer[1] == COMM_SUCCESS:
                 return answer
             self._let_pass()
-        return request()
+        return self._asked(request)
+
+    def _asked(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
+        """Make a request; one that the line does not take in time, as on a busy computer, has no answer."""
+        try:
+            return request()
+        except serial.SerialTimeoutException:
+            self._port.is_using = False  # as the SDK leaves it only when it has sent
+            return None, COMM_TX_FAIL, 0
 
     def _let_pass(self) -> None:
         """Let answers pass that come too late: answers do not say to what, and would be taken for that to the next."""

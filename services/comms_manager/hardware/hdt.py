@@ -222,6 +222,7 @@ class Hdt(Device):
             HdtCommand(
                 time=time.monotonic_ns(),
                 sequence=limb.sequence,
+                motor_sequence=command.sequence if command else 0,
                 mode=mode,
                 position=position,
                 velocity=velocity,

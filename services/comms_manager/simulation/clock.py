@@ -1,6 +1,7 @@
 """The two clocks of the simulation, and how robot time is kept beside the wall's.
 
-``lockstep``: each state waits for the Motor that answers it; a slow machine slows the clock, not the robot.
+``lockstep``: each state waits for the Motor that answers it, and for the cycle of the VRC (``in_step``); a slow machine
+slows the clock, not the robot.
 ``realtime``: time passes by itself, and stands only while the newest Motor answers a state too long ago (bounded
 staleness). Both make up what is late, a quarter quicker than their pace at most; what the wall is ahead by more than
 ``BACKLOG`` is not made up, and told as slip.
@@ -14,6 +15,7 @@ from abc import ABC, abstractmethod
 from valor.common.pacing import Pacer
 from valor.common.trace import Stage, Tracer
 from valor.comms_manager.commands import Commands
+from valor.comms_manager.simulation.in_step import InStep
 from valor.simulation.plant import Plant
 
 BACKLOG = 0.2  # a stall longer than this is not made up [s]
@@ -27,11 +29,12 @@ class Clock(ABC):
 
     name: str
 
-    def __init__(self, plant: Plant, steps: int, pacer: Pacer, trace: Tracer) -> None:
+    def __init__(self, plant: Plant, steps: int, pacer: Pacer, trace: Tracer, in_step: InStep | None = None) -> None:
         self._plant = plant
         self._steps = steps
         self._pacer = pacer
         self._trace = trace
+        self._in_step = in_step
         self._due = 0.0  # robot time that has passed in the plant and not yet on the wall [s]
         self._unhurried = False  # keep to real time where there is no schedule
         self._admitted = 0
@@ -88,6 +91,8 @@ class Lockstep(Clock):
             commands.take()
         else:
             waited += self._wait(commands, age=0)
+        if self._in_step is not None:
+            waited += self._in_step.wait(commands.newest)
         self._obey(commands)
         self._step(self._steps)
         # Without a controller nobody wants the robot to age faster than the world.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Self
 
-from valor.common.behaviors import Behavior
+from valor.common.behaviors import Behavior, Obstacle
 from valor.common.messages import BehaviorReply, BehaviorRequest
 from valor.common.topics import BEHAVIOR
 from valor.motion_manager.handlers.handler import RequestHandler
@@ -53,14 +53,16 @@ class BehaviorHandler(RequestHandler[BehaviorRequest, BehaviorReply]):
                 origin,
                 "unknown",
                 f"unknown behavior {request.behavior[:64]!r}; expected one of {', '.join(Behavior)}",
+                Obstacle.TRANSITION,
             )
         if target is not self._fsm.behavior and (reason := self._out_of_control(target)):
-            return self._refuse(origin, "no_robot", reason)
+            return self._refuse(origin, "no_robot", reason, Obstacle.CONDITION)
         verdict = self._fsm.request(target, self._conditions(), origin)
         if not verdict.accepted:
-            return self._refuse(origin, target, verdict.reason)
-        return BehaviorReply(accepted=True, behavior=self._fsm.behavior, reason=verdict.reason)
+            return self._refuse(origin, target, verdict.reason, verdict.obstacle)
+        return BehaviorReply(True, self._fsm.behavior, verdict.reason, Obstacle.NONE)
 
-    def _refuse(self, origin: str, kind: str, reason: str) -> BehaviorReply:
-        self._rejections.add(BEHAVIOR.name, origin, kind, reason)
-        return BehaviorReply(accepted=False, behavior=self._fsm.behavior, reason=reason)
+    def _refuse(self, origin: str, kind: str, reason: str, obstacle: Obstacle) -> BehaviorReply:
+        if obstacle is not Obstacle.WAIT:  # whoever asks until it passes does nothing wrong
+            self._rejections.add(BEHAVIOR.name, origin, kind, reason)
+        return BehaviorReply(False, self._fsm.behavior, reason, obstacle)

@@ -99,7 +99,7 @@ class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]
         if self._fsm.locomotion is not Locomotion.STEP:
             raise PlanError(
                 "footstep plans are executed in behaviors step and step_manipulate; "
-                f"the behavior is {self._fsm.behavior}"
+                f"the behavior is {self._fsm.behavior}; ask for one of them first"
             )
         if not asked:
             self._queue.stop(f"stopped by {origin}", self._closing())

@@ -14,7 +14,8 @@ from valor.common.rotation import NORM
 from valor.common.topics import HAND_GOAL
 from valor.motion_manager.handlers.handler import Handler, pose, require_fresh
 from valor.motion_manager.handlers.rejections import Rejections
-from valor.motion_manager.hands.hand_goals import SIDES, HandGoal, HandGoals
+from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
+from valor.motion_manager.hands.led_arm import HandGoal
 from valor.motion_manager.parts import Parts
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 

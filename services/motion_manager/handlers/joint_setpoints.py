@@ -115,7 +115,7 @@ class JointSetpointsHandler(Handler[JointSetpoints]):
             acceleration=limits.acceleration_within(acceleration),
             time=message.time * 1e-9,
         )
-        self._upper_body.follow(layout.machines, setpoint, now * 1e-9)
+        self._upper_body.follow(layout.machines, setpoint, now * 1e-9, received.sequence)
 
     def _check_time(self, time: int, now: int) -> None:
         age = (now - time) * 1e-9
@@ -147,6 +147,8 @@ class JointSetpointsHandler(Handler[JointSetpoints]):
             if name in seen:
                 raise RefusalError("names", f"joint {name!r} is named twice")
             seen.add(name)
+            if name not in self._upper_body.owners:
+                raise RefusalError("names", f"joint {name!r} is in no group that moves; it is held at nominal")
             first_of.setdefault(self._upper_body.owners[name], name)
         joints = np.array([self._index[name] for name in names], dtype=np.intp)
         layout = Layout(names, joints, frozenset(first_of), first_of, self._limits.select(joints))

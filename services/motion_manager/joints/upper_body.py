@@ -20,7 +20,7 @@ class UpperBody:
     """Moves the reference of the joints that do not carry the robot. Times are robot time [s].
 
     Attributes:
-        owners: joint name → the internal FSM that may move it.
+        owners: joint name → the internal FSM that may move it; those that none may are held.
         joints: internal FSM → (n,) which joints are its own.
     """
 
@@ -29,7 +29,7 @@ class UpperBody:
         self._reference = reference
         self._nominal = robot.nominal_posture
         self.joints: dict[type[StrEnum], Joints] = {
-            machine: np.array([self.owners[joint] is machine for joint in robot.joints])
+            machine: np.array([self.owners.get(joint) is machine for joint in robot.joints])
             for machine in (Locomotion, Manipulation, Attention)
         }
         self._states: dict[type[StrEnum], StrEnum] = {
@@ -38,6 +38,7 @@ class UpperBody:
         }
         self._heard: dict[type[StrEnum], float | None] = {Manipulation: None, Attention: None}
         self._home_at: float | None = None  # when slaved arms set out
+        self.setpoint_sequence = 0  # of the JointSetpoints followed last
 
     def enter(self, manipulation: Manipulation, attention: Attention, now: float) -> None:
         """The internal FSMs are in these states from now on; staying in one changes nothing."""
@@ -57,8 +58,9 @@ class UpperBody:
         state = self._states[machine]
         return "" if state is SETPOINT_STATES[machine] else f"{machine.__name__.lower()} is {state}"
 
-    def follow(self, machines: frozenset[type[StrEnum]], setpoint: Setpoint, now: float) -> None:
-        """Follow a set-point that has been checked, of joints of these machines."""
+    def follow(self, machines: frozenset[type[StrEnum]], setpoint: Setpoint, now: float, sequence: int) -> None:
+        """Follow a set-point that has been checked, of joints of these machines, the JointSetpoints of a sequence."""
+        self.setpoint_sequence = sequence
         for machine in machines:
             self._heard[machine] = now
         self._reference.follow(setpoint)

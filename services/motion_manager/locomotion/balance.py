@@ -10,6 +10,7 @@ from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.motion_manager.hands.hand_contact import HandContacts
 from valor.motion_manager.joints.joint_gains import JointGains
 from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.joints.servo_compensation import ServoCompensation
 from valor.motion_manager.locomotion.driver import Driver
 from valor.motion_manager.locomotion.posture_control import PostureControl
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -46,11 +47,13 @@ class BalanceControl:
         posture: PostureControl,
         motors: MotorCommand,
         gains: JointGains,
+        servos: ServoCompensation,
         velocity_steps: VelocitySteps,
         step_queue: StepQueue,
     ) -> None:
         self._fsm, self.controller, self._detector = fsm, controller, detector
         self._reference, self._posture, self._motors, self._gains = reference, posture, motors, gains
+        self._servos = servos
         self._velocity_steps, self._step_queue = velocity_steps, step_queue
         self._most_failures = round(LONGEST_INFEASIBLE / robot.control_period)
         self._no_effort = np.zeros(len(robot.joints))
@@ -65,6 +68,7 @@ class BalanceControl:
         self.controller.reset(state)
         self._gains.reset()
         self._motors.set_gains(self._gains.stiffness, self._gains.damping)
+        self._servos.reset()
         self._failures = 0
         self._blend_began = now
 
@@ -78,6 +82,7 @@ class BalanceControl:
             state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt
         )
         share = min(1.0, (now - self._blend_began) / BLEND)
+        self._servos.apply(state, command, dt, whole=share >= 1.0)
         effort = self._posture.effort(now) if share < 1.0 else self._no_effort  # by then it counts no more
         self._motors.balance(command, reference.position, reference.velocity, effort, share)
         self._failures = self._failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Generic, TypeVar
 
-from valor.common.behaviors import INTERNAL_STATES, Attention, Behavior, Locomotion, Manipulation, requested_by
+from valor.common.behaviors import (
+    INTERNAL_STATES,
+    Attention,
+    Behavior,
+    Locomotion,
+    Manipulation,
+    Obstacle,
+    requested_by,
+)
 from valor.common.errors import ValorError
 from valor.motion_manager.states.transitions import (
     ATTENTION_TRANSITIONS,
@@ -55,32 +63,36 @@ class Conditions:
     nothing_to_lead: str = ""  # it has neither arms nor hands nor a waist
 
 
-GUARDS: Mapping[tuple[Behavior, Behavior], tuple[Callable[[Conditions], str], ...]] = {
+Guard = Callable[[Conditions], str]
+"""Gives the reason against an edge, or an empty text."""
+
+GUARDS: Mapping[tuple[Behavior, Behavior], tuple[tuple[Obstacle, Guard], ...]] = {
     (Behavior.STAND_PREP, Behavior.STAND): (
-        lambda conditions: conditions.not_prepared,
-        lambda conditions: conditions.not_upright,
-        lambda conditions: conditions.not_loaded,
+        (Obstacle.WAIT, lambda conditions: conditions.not_prepared),
+        (Obstacle.CONDITION, lambda conditions: conditions.not_upright),
+        (Obstacle.CONDITION, lambda conditions: conditions.not_loaded),
     ),
-    (Behavior.STAND, Behavior.STAND_PREP): (lambda conditions: conditions.stepping,),
-    (Behavior.STAND, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
-    (Behavior.STAND, Behavior.STAND_MANIPULATE): (lambda conditions: conditions.nothing_to_lead,),
-    (Behavior.STEP, Behavior.STEP_MANIPULATE): (lambda conditions: conditions.nothing_to_lead,),
-    (Behavior.WALK, Behavior.WALK_MANIPULATE): (lambda conditions: conditions.nothing_to_lead,),
-    (Behavior.STAND_MANIPULATE, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
-    (Behavior.SOFT_STOP, Behavior.FREEZE): (lambda conditions: conditions.stepping,),
-    (Behavior.FALL, Behavior.GET_UP): (lambda conditions: conditions.cannot_get_up,),
+    (Behavior.STAND, Behavior.STAND_PREP): ((Obstacle.WAIT, lambda conditions: conditions.stepping),),
+    (Behavior.STAND, Behavior.FREEZE): ((Obstacle.WAIT, lambda conditions: conditions.stepping),),
+    (Behavior.STAND, Behavior.STAND_MANIPULATE): ((Obstacle.CONDITION, lambda conditions: conditions.nothing_to_lead),),
+    (Behavior.STEP, Behavior.STEP_MANIPULATE): ((Obstacle.CONDITION, lambda conditions: conditions.nothing_to_lead),),
+    (Behavior.WALK, Behavior.WALK_MANIPULATE): ((Obstacle.CONDITION, lambda conditions: conditions.nothing_to_lead),),
+    (Behavior.STAND_MANIPULATE, Behavior.FREEZE): ((Obstacle.WAIT, lambda conditions: conditions.stepping),),
+    (Behavior.SOFT_STOP, Behavior.FREEZE): ((Obstacle.WAIT, lambda conditions: conditions.stepping),),
+    (Behavior.FALL, Behavior.GET_UP): ((Obstacle.CONDITION, lambda conditions: conditions.cannot_get_up),),
     # On its way up the robot stands only by its own word.
-    (Behavior.GET_UP, Behavior.STAND_PREP): (lambda _: "the robot has not finished getting up",),
+    (Behavior.GET_UP, Behavior.STAND_PREP): ((Obstacle.WAIT, lambda _: "the robot has not finished getting up"),),
 }
-"""What must hold for an edge to be taken on request: each gives the reason against it, or an empty text."""
+"""What must hold for an edge to be taken on request, and whether what is against it passes by itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer to a request."""
+    """The answer to a request, or to the question what it would be."""
 
     accepted: bool
     reason: str
+    obstacle: Obstacle = Obstacle.NONE
 
 
 class BehaviorFsm:
@@ -121,18 +133,18 @@ class BehaviorFsm:
         """State of the Attention FSM."""
         return self._attention.state
 
-    def refusal(self, target: Behavior, conditions: Conditions) -> str:
-        """Why a request for a behavior would be refused now; an empty text: it would be accepted."""
+    def verdict(self, target: Behavior, conditions: Conditions) -> Verdict:
+        """What a request for a behavior would be answered now."""
         here = self.behavior
         if target is here:
-            return ""
+            return Verdict(True, f"already in {target}")
         if target not in BEHAVIOR_TRANSITIONS[here]:
             allowed = ", ".join(sorted(self.reachable)) or "none"
-            return f"no transition from {here} to {target}; from here: {allowed}"
-        for guard in GUARDS.get((here, target), ()):
+            return Verdict(False, f"no transition from {here} to {target}; from here: {allowed}", Obstacle.TRANSITION)
+        for obstacle, guard in GUARDS.get((here, target), ()):
             if reason := guard(conditions):
-                return reason
-        return ""
+                return Verdict(False, reason, obstacle)
+        return Verdict(True, "")
 
     @property
     def reachable(self) -> list[Behavior]:
@@ -141,12 +153,10 @@ class BehaviorFsm:
 
     def request(self, target: Behavior, conditions: Conditions, origin: str) -> Verdict:
         """Somebody asks for a behavior: go there, or say why not. Asking for the present one is accepted."""
-        if reason := self.refusal(target, conditions):
-            return Verdict(False, reason)
-        if target is self.behavior:
-            return Verdict(True, f"already in {target}")
-        self.go(target, requested_by(origin))
-        return Verdict(True, "")
+        verdict = self.verdict(target, conditions)
+        if verdict.accepted and target is not self.behavior:
+            self.go(target, requested_by(origin))
+        return verdict
 
     def go(self, target: Behavior, reason: str) -> None:
         """The Motion Manager itself changes the behavior, and the internal machines with it.

@@ -5,7 +5,7 @@ The Behavior FSM is what other nodes ask for (thesis section 3.4.1, figure 3.8);
 
 Each edge carries where it is known from: ``T`` thesis text, ``P`` public predecessors (ViGIR, Boston Dynamics, THOR),
 ``I`` inferred, ``I2`` needed because a control mode is always reached by two commands, a base behavior and then its
-Manipulate variant. ``docs/motion_manager.md`` gives the reasons of the inferred ones.
+Manipulate variant.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from valor.common.behaviors import Attention, Behavior, Locomotion, Manipulation
-from valor.common.errors import ConfigurationError
 from valor.robot.description import RobotDescription
 
 _B, _L, _M, _A = Behavior, Locomotion, Manipulation, Attention
@@ -105,21 +104,10 @@ SETPOINT_STATES: Mapping[type[StrEnum], StrEnum] = {Manipulation: _M.TELEOP, Att
 
 
 def joint_owners(robot: RobotDescription) -> dict[str, type[StrEnum]]:
-    """Joint name → the one internal FSM that may move it.
-
-    Raises:
-        ConfigurationError: a joint of robot.yaml would be moved by none of them.
-    """
-    owners: dict[str, type[StrEnum]] = {
+    """Joint name → the one internal FSM that may move it; joints of other groups have none, and stay where they are."""
+    return {
         joint: machine
         for machine, groups in JOINT_ACCESS.items()
         for group in groups
         for joint in robot.tables.groups.get(group, ())
     }
-    if orphans := [joint for joint in robot.joints if joint not in owners]:
-        expected = ", ".join(group for groups in JOINT_ACCESS.values() for group in groups)
-        raise ConfigurationError(
-            f"{robot.folder / 'robot.yaml'}: groups: joints {orphans} are in no group that an FSM moves; "
-            f"expected one of {expected}"
-        )
-    return owners

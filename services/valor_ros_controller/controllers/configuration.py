@@ -95,6 +95,10 @@ class ControllersTable(Table):
             robot_controllers=there(self.robot_controllers),
         )
 
+    def bases(self, name: str) -> tuple[str, str]:
+        """What the names of a controller's interfaces begin with: ViGIR's, then ros2_control's."""
+        return f"{self.namespace}/{name}", name
+
     @property
     def manipulate(self) -> bool:
         """Whether any of them leads arms, hands or waist."""

@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-from valor.common.behaviors import ControlMode, requester
+from valor.common.behaviors import ControlMode, Obstacle, requester
 from valor.common.messages import ModeStatus
 from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
 from valor.valor_ros_controller.control_modes import ControlModeTable
@@ -26,11 +26,14 @@ from valor.valor_ros_controller.controllers.mode_requests import (
     admit,
     first_stop,
 )
+from valor.valor_ros_controller.refusals import BoundedLog, Refusals, bounded
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("control_mode_controller")
 
 _S = ModeStatus
+_WHY = {Obstacle.TRANSITION: _S.ERR_INVALID_TRANSITION}
+"""What a refusal of the Motion System means, but for robots that are not ready."""
 
 
 class MotionSystem(Protocol):
@@ -68,8 +71,7 @@ class ControlModeController:
         reports: how often the report changed.
         active_mode: whose controllers are to run; empty: none may.
         hard_resets: how often all controllers had to start anew.
-        last_refusal: of a request, with its reason; for people.
-        rejected: how many requests were refused.
+        refusals: of requests.
     """
 
     name = "control_mode_controller"
@@ -87,8 +89,8 @@ class ControlModeController:
         self.reports = 1
         self.active_mode = ""
         self.hard_resets = 0
-        self.last_refusal = ""
-        self.rejected = 0
+        self.refusals = Refusals(BoundedLog(_log), "control mode {}")
+        self._waits_for = ""
         self._refusal = refusal
 
     @property
@@ -98,7 +100,7 @@ class ControlModeController:
 
     def request(self, mode: str, client: ModeClient | None = None) -> None:
         """Ask for a mode, by name in any case, or for an emergency stop. From any thread."""
-        self._requests.append((mode, client))
+        self._requests.append((bounded(mode), client))
         self._motion.wake()
 
     def start(self, hw: ValorEscherHWInterface) -> None:
@@ -169,6 +171,9 @@ class ControlModeController:
         """A change is under way: see how far it is."""
         transition = change.transition
         if transition.state is TransitionState.PROCESSING:
+            if transition.waits_for and not self._waits_for:
+                _log.info("control mode %s waits: %s", change.target.mode, transition.waits_for)
+            self._waits_for = transition.waits_for
             return
         behavior, before = self._motion.behavior, self._followed
         self._followed = behavior
@@ -185,15 +190,15 @@ class ControlModeController:
         stop = first_stop(self._table, actual, change.target.other_stops)
         if stop and not (transition.silent or transition.diverted):
             # The mode was another than it seemed when the emergency stop was asked for.
-            self._note_refusal(change.requested, transition.reason)
+            self._refused(change.requested, transition.reason)
             self._change = None
             self._set(ModeReport(stop.mode, actual, _S.MODE_PROCESSING))
             self._begin(change.requested, stop, change.client)
             return
         status = _S.MODE_REJECTED
-        if transition.silent:
-            status |= _S.ERR_CONTROLLER_NOT_READY
-        if transition.diverted:
+        if not transition.diverted:
+            status |= _WHY.get(transition.obstacle, _S.ERR_CONTROLLER_NOT_READY)
+        else:
             status |= _S.EXTERNAL_CHANGE
             if self._table.modes[actual].switch == "hard_reset":
                 self.hard_resets += 1
@@ -211,7 +216,8 @@ class ControlModeController:
             if not self._motion.behavior:
                 waiting = self._motion.silent or "the Motion System"
                 raise ModeRefusedError(_S.ERR_CONTROLLER_NOT_READY, f"{waiting} is silent")
-            target = admit(self._table, requested, self.current, change.target.mode if change else "")
+            under_way = change.target.mode if change else ""
+            target = admit(self._table, requested, self.current, self._motion.behavior, under_way)
         except ModeRefusedError as refused:
             self._refuse(requested, client, refused.error, str(refused))
             return
@@ -261,25 +267,23 @@ class ControlModeController:
         self._change = None
         report = ModeReport(change.target.mode, current or self.current, status)
         if not status & _S.MODE_ACCEPTED:
-            self._note_refusal(change.requested, reason)
+            self._refused(change.requested, reason)
         self._set(report)
         if change.client:
             change.client.finish(report)
 
     def _refuse(self, requested: str, client: ModeClient | None, error: ModeStatus, reason: str) -> None:
         """Nothing happens but an answer; the report on the topic carries it too, with the mode unchanged."""
-        self._note_refusal(requested, reason)
+        self._refused(requested, reason)
         report = ModeReport(requested, self.current, _S.MODE_REJECTED | error)
         if self._change is None:
             self._set(report)
         if client:
             client.finish(report)
 
-    def _note_refusal(self, requested: str, reason: str) -> None:
-        self.rejected += 1
-        if self.last_refusal != f"{requested}: {reason}":  # told once in the log, however often it is asked for
-            _log.warning("control mode %s refused: %s", requested, reason)
-        self.last_refusal = f"{requested}: {reason}"
+    def _refused(self, requested: str, reason: str) -> None:
+        """Have the reason told: ``ControlModeStatus`` has no place for it."""
+        self.refusals.add(requested, reason)
 
     def _set(self, report: ModeReport) -> None:
         self.report = report

@@ -18,15 +18,19 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest
+from valor.valor_ros_controller.refusals import BoundedLog, Refusals
+from valor.valor_ros_controller.schedule import Schedule
 from valor.valor_ros_controller.trajectory.admission import begin
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.valor_ros_controller.valor_escher_hw_interface import HAND_GOAL, ValorEscherHWInterface
 
 _log = logging.getLogger("joint_trajectory_controller")
 
 MOVED = 0.02
 """A controller that waited goes on only if the Motion System moved none of its joints farther than this [rad or m]."""
+LONGEST_WAIT = 1.0
+"""So long a trajectory waits for the Motion System to accept its joints again, as between two behaviors [s]."""
 
 
 class JointTrajectoryController:
@@ -39,8 +43,7 @@ class JointTrajectoryController:
         position, velocity, acceleration: (n,) the set-point.
         active: chosen by the control mode.
         writing: active, and the Motion System accepts its joints.
-        last_refusal: of a trajectory, with its reason; for people.
-        rejected: how many trajectories were refused.
+        refusals: of trajectories.
     """
 
     type = "joint_trajectory_controller/JointTrajectoryController"
@@ -67,8 +70,8 @@ class JointTrajectoryController:
         self.position, self.velocity, self.acceleration = self._state
         self.active = False
         self.writing = False
-        self.last_refusal = ""
-        self.rejected = 0
+        self._log = BoundedLog(_log)
+        self.refusals = Refusals(self._log, "trajectory of {}")
         self._modes = ", ".join(modes)
         self._accepted_when = tuple(config.accepted_when.items())
         self._queue: deque[TrajectoryRequest | Goal] = deque()
@@ -76,7 +79,7 @@ class JointTrajectoryController:
         self._request: TrajectoryRequest | None = None
         self._moving = False
         self._waiting_since = 0
-        self._next_feedback = 0
+        self._feedback = Schedule()
 
     # --- from any thread ------------------------------------------------------------------------------------------
 
@@ -90,10 +93,7 @@ class JointTrajectoryController:
 
     def refuse(self, goal: Goal | None, error: InvalidTrajectoryError) -> None:
         """Say why a trajectory is not run. Nothing moves, and what runs goes on."""
-        self.rejected += 1
-        if self.last_refusal != f"{self.name}: {error}":  # told once in the log, however often it is sent
-            _log.warning("%s: trajectory refused: %s", self.name, error)
-        self.last_refusal = f"{self.name}: {error}"
+        self.refusals.add(self.name, str(error), answered=goal is not None)
         if goal:
             goal.finish(Outcome(error.code, str(error)))
 
@@ -166,16 +166,21 @@ class JointTrajectoryController:
         accepted = motion is not None
         for field, state in self._accepted_when:
             accepted = accepted and getattr(motion, field) == state
-        if accepted == self.writing:
-            return
-        self.writing = accepted
         if not accepted:
-            self._waiting_since = hw.time
-            hw.pause(self.name)
+            if self.writing:
+                self.writing, self._waiting_since = False, hw.time
+                hw.pause(self.name)
+            if self._request:
+                self._wait(self._request, hw)
             return
+        if self.writing:
+            return
+        self.writing = True
         self._trajectory.delay(hw.time - self._waiting_since)
         moved = np.abs(hw.commanded[self.joints] - self.position)
-        if moved.max() > MOVED:
+        if self._request is None:
+            self._hold_motion_system(hw)
+        elif moved.max() > MOVED:
             joint = int(np.argmax(moved))
             name, unit = self.limits.names[joint], self.limits.units[joint]
             self._hold_motion_system(hw)
@@ -183,6 +188,31 @@ class JointTrajectoryController:
             self._end(Outcome(ErrorCode.INVALID_GOAL, text))
         hw.command[:, self.joints] = self._state
         hw.write(self.name, self.joints)
+
+    def _wait(self, request: TrajectoryRequest, hw: ValorEscherHWInterface) -> None:
+        """The Motion System does not accept our joints: for a moment, or they are lost, and who asked is told."""
+        waited = (hw.time - self._waiting_since) * 1e-9
+        lost = self._leader(hw)
+        if not lost and waited > LONGEST_WAIT:
+            lost = f"the Motion System has accepted none of its set-points for {waited:.1f} s; {self._wanted(hw)}"
+        if lost:
+            self._hold_motion_system(hw)
+            self._end(Outcome(ErrorCode.INVALID_GOAL, f"aborted: {lost}"))
+        elif request.goal and self._feedback_due(hw):
+            request.goal.feedback(hw)
+
+    def _leader(self, hw: ValorEscherHWInterface) -> str:
+        """Who has taken the joints, for people; empty: nobody."""
+        taken = [limb for limb, _ in self._accepted_when if hw.motion and getattr(hw.motion, limb) == HAND_GOAL]
+        return f"the {taken[0].replace('_', ' ')} follows a hand goal, until that is canceled" if taken else ""
+
+    def _wanted(self, hw: ValorEscherHWInterface) -> str:
+        """What the Motion System would have to be in."""
+        wanted = ", ".join(f"{machine} {state}" for machine, state in self._accepted_when)
+        return f"it is in behavior {hw.motion.behavior if hw.motion else 'unknown'}; expected {wanted}"
+
+    def _feedback_due(self, hw: ValorEscherHWInterface) -> bool:
+        return self._feedback.due(hw.time, round(1e9 / self.settings.action_monitor_rate))
 
     def _hold_motion_system(self, hw: ValorEscherHWInterface) -> None:
         """Take for set-point what the Motion System commands."""
@@ -200,11 +230,8 @@ class JointTrajectoryController:
                     f"{self._modes}, unless a client has deactivated it",
                 )
             if not self.writing:
-                wanted = ", ".join(f"{field} {state}" for field, state in self._accepted_when)
-                present = hw.motion.behavior if hw.motion else "unknown"
-                raise InvalidTrajectoryError(
-                    f"the Motion System accepts no set-points for {self.name} in behavior {present}; expected {wanted}",
-                )
+                refused = f"the Motion System accepts no set-points for {self.name}; {self._wanted(hw)}"
+                raise InvalidTrajectoryError(self._leader(hw) or refused)
             trajectory = begin(
                 request.waypoints,
                 request.start,
@@ -212,13 +239,19 @@ class JointTrajectoryController:
                 self._state,
                 self.limits,
                 error=np.maximum(self._path, request.path.position),
+                late=request.late,
             )
+            if (ending := request.waypoints.states[1, -1]).any():
+                velocity = np.zeros(len(self.joints))
+                velocity[request.waypoints.columns] = ending
+                trajectory = trajectory.then_resting(velocity, self.settings.max_deceleration, self.limits)
         except InvalidTrajectoryError as error:
             self.refuse(request.goal, error)
             return
-        self._end(Outcome(ErrorCode.INVALID_GOAL, "Current goal preempted by new incoming action"))
+        if self._request and self._request.goal:  # nobody waits for one of a stream
+            self._end(Outcome(ErrorCode.INVALID_GOAL, "Current goal preempted by new incoming action"))
         self._trajectory, self._request, self._moving = trajectory, request, True
-        self._next_feedback = hw.time
+        self._feedback.begin(hw.time)
 
     def _monitor(self, request: TrajectoryRequest, hw: ValorEscherHWInterface) -> None:
         """Compare with the measured state: tolerances on the way and at the end."""
@@ -229,8 +262,7 @@ class JointTrajectoryController:
             if outcome.code is ErrorCode.PATH_TOLERANCE_VIOLATED:
                 self._come_to_rest(hw)
             self._end(outcome)
-        elif hw.time >= self._next_feedback and request.goal:
-            self._next_feedback = hw.time + round(1e9 / self.settings.action_monitor_rate)
+        elif request.goal and self._feedback_due(hw):
             request.goal.feedback(hw)
 
     def _come_to_rest(self, hw: ValorEscherHWInterface) -> None:
@@ -247,7 +279,12 @@ class JointTrajectoryController:
     def _end(self, outcome: Outcome) -> None:
         """Nobody waits for the trajectory any more."""
         request, self._request = self._request, None
-        if request and request.goal:
+        if request is None:
+            return
+        failed = not outcome.canceled and outcome.code is not ErrorCode.SUCCESSFUL
+        if request.goal:
             request.goal.finish(outcome)
-        if request and not outcome.canceled and outcome.code is not ErrorCode.SUCCESSFUL:
-            _log.warning("%s: %s", self.name, outcome.text)
+        elif failed:
+            self.refusals.tell(outcome.text)
+        if failed:
+            self._log.warning(f"{self.name}: {outcome.text}")

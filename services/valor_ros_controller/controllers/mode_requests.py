@@ -53,13 +53,14 @@ def first_stop(table: ControlModeTable, current: str, stops: Sequence[str]) -> T
     return None if mode is None else Target(mode, tuple(stop for stop in stops if stop != mode))
 
 
-def admit(table: ControlModeTable, requested: str, current: str, under_way: str) -> Target:
+def admit(table: ControlModeTable, requested: str, current: str, behavior: str, under_way: str) -> Target:
     """Where a request leads.
 
     Args:
         table: of control modes.
         requested: a mode by name, in any case, or an emergency stop.
         current: the mode that the robot is in.
+        behavior: of the Motion System.
         under_way: the mode that a change under way leads to; empty: none is.
 
     Raises:
@@ -69,7 +70,8 @@ def admit(table: ControlModeTable, requested: str, current: str, under_way: str)
     if target.mode == EMERGENCY_STOP:
         stop = first_stop(table, current, table.emergency_stop)
         if stop is None:
-            reason = f"no mode to stop in may follow {current}; the joints are not under control"
+            allowed = ", ".join(sorted(modes[current].to))
+            reason = f"no mode to stop in may follow {current}; the joints are not under control; from there: {allowed}"
             raise ModeRefusedError(ModeStatus.ERR_INVALID_TRANSITION, reason)
         target = stop
     name = target.mode
@@ -79,10 +81,22 @@ def admit(table: ControlModeTable, requested: str, current: str, under_way: str)
     if modes[name].lacking:
         raise ModeRefusedError(ModeStatus.ERR_INVALID_BEHAVIOR_MODE, modes[name].lacking)
     if under_way and not (modes[name].preempts and under_way != name):
-        raise ModeRefusedError(ModeStatus.ERR_PRIOR_COMMAND_IN_PROGRESS, f"the change to {under_way} is under way")
+        stops = ", ".join(sorted(each for each, mode in modes.items() if mode.preempts and each != under_way))
+        reason = f"the change to {under_way} is under way; ask again once it is done; meanwhile: {stops}"
+        raise ModeRefusedError(ModeStatus.ERR_PRIOR_COMMAND_IN_PROGRESS, reason)
+    follows = _may_follow(table, current, behavior)
     # Of a change under way nobody knows how far it is.
-    allowed = modes[current].to | (modes[under_way].to if under_way else frozenset()) | {current}
-    if name not in allowed:
-        reason = f"not allowed from {current}; from there: {', '.join(sorted(modes[current].to))}"
+    if name not in follows | (modes[under_way].to if under_way else frozenset()) | {current}:
+        kept = "" if modes[current].motion else f" in behavior {behavior}"
+        reason = f"not allowed from {current}{kept}; from there: {', '.join(sorted(follows))}"
         raise ModeRefusedError(ModeStatus.ERR_INVALID_TRANSITION, reason)
     return target
+
+
+def _may_follow(table: ControlModeTable, current: str, behavior: str) -> frozenset[str]:
+    """The modes that may follow; where the present one keeps whatever behavior there is, those that may follow that."""
+    follows = table.modes[current].to
+    if table.modes[current].motion is None:
+        kept = table.behaviors.get(behavior, current)
+        follows &= table.modes[kept].to | {kept}
+    return follows

@@ -15,6 +15,9 @@ from valor.valor_ros_controller.trajectory.tolerances import Tolerances
 from valor.valor_ros_controller.trajectory.waypoints import Waypoints
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
+CATCH_UP = 0.1
+"""A stream of trajectories, each replacing the one before, may fall behind by this and is still followed [s]."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -45,6 +48,11 @@ class TrajectoryRequest:
     goal_tolerance: Tolerances
     goal_time: float  # [s]; 0: however late
     goal: Goal | None
+
+    @property
+    def late(self) -> float:
+        """By how much it may be late if its first point is too far away for its time [s]."""
+        return CATCH_UP if self.goal is None else 0.0
 
     def judge(
         self, limits: CommandedLimits, late: float, position_error: FloatArray, velocity_error: FloatArray

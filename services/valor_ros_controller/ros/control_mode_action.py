@@ -13,15 +13,15 @@ from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
 from valor.common.messages import ModeStatus
+from valor.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
 from valor.valor_ros_controller.controllers.mode_requests import ModeReport
-from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.ros.node import LATCHED
 
-ACTION = "/mode_controllers/control_mode_controller/change_control_mode"
-COMMAND = "/flor/controller/mode_command"
-REPORT = "/flor/controller/mode"
-NAME = "/flor/controller/mode_name"
+ACTION = "mode_controllers/control_mode_controller/change_control_mode"
+COMMAND = "flor/controller/mode_command"
+REPORT = "flor/controller/mode"
+NAME = "flor/controller/mode_name"
 REPORT_PERIOD = 1_000_000_000  # reports are repeated so often [ns of robot time]
 
 

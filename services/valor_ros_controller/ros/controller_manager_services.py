@@ -36,16 +36,17 @@ from rclpy.node import Node
 
 from valor.valor_ros_controller.controller_switch import ControllerSwitch, SwitchAnswer
 from valor.valor_ros_controller.ros.node import LATCHED
+from valor.valor_ros_controller.ros.publisher import STATE_INTERFACES
 from valor.valor_ros_controller.update_queue import UpdateQueue
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("controller_manager")
 
-NAMESPACE = "/controller_manager"
+NAMESPACE = "controller_manager"
 HARDWARE = "valor_escher_hw_interface"
 HARDWARE_TYPE = "valor_ros_controller/ValorEscherHWInterface"
 COMMAND_INTERFACES = ("position", "velocity", "acceleration")
-STATE_INTERFACES = ("position", "velocity")
+_REQUIRED = ("position", "velocity")  # of the state, by a trajectory controller
 _ACTIVE = State(id=State.PRIMARY_STATE_ACTIVE, label="active")
 _INACTIVE = State(id=State.PRIMARY_STATE_INACTIVE, label="inactive")
 _LOADED = "controllers are those of controllers.yaml, loaded and configured from start to end"
@@ -148,7 +149,7 @@ class ControllerManagerServices:
                     update_rate=self._rate,
                     claimed_interfaces=commands if name in owners else [],
                     required_command_interfaces=commands,
-                    required_state_interfaces=[f"{joint}/{i}" for joint in joints for i in STATE_INTERFACES],
+                    required_state_interfaces=[f"{joint}/{i}" for joint in joints for i in _REQUIRED],
                 )
             )
         return response

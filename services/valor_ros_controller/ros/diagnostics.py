@@ -18,6 +18,7 @@ import bifrost
 from valor.common.behaviors import FALLEN
 from valor.common.messages import DeviceStatus, Statistics
 from valor.common.topics import DEVICES, STATISTICS
+from valor.ros.node import STEADY, WALL
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
 PERIOD = 1.0  # [s]
@@ -35,6 +36,8 @@ class Snapshot:
         behavior_reason: of its last change.
         control_mode: the present one.
         cycles: since start.
+        late: those of them that came late in robot time.
+        longest_gap: between two cycles of the last seconds, in robot time [s].
         motion_system: what else is said of the Motion System.
         controller: and of the VRC.
     """
@@ -44,6 +47,8 @@ class Snapshot:
     behavior_reason: str
     control_mode: str
     cycles: int
+    late: int
+    longest_gap: float
     motion_system: Mapping[str, object]
     controller: Mapping[str, object]
 
@@ -75,7 +80,7 @@ class ProcessDiagnostics:
         elif lost > 0:
             level, text = DiagnosticStatus.WARN, f"{lost} messages dropped since the last report"
         else:
-            level, text = DiagnosticStatus.OK, newest.state
+            level, text = DiagnosticStatus.OK, ": ".join(filter(None, (newest.state, newest.detail)))
         values = {
             "age [s]": f"{age:.1f}",
             "rate [Hz]": f"{1.0 / newest.period_mean:.0f}" if newest.period_mean > 0.0 else "",
@@ -146,14 +151,14 @@ class Diagnostics:
             rate: nominal, of the update loop [Hz].
             processes: names of those to be told of.
         """
-        self._node = node
         self._snapshots = snapshots
+        self._robot = node.get_namespace().strip("/") or "valor"
         self._rate = rate
-        self._cycles = 0
+        self._cycles = self._late = 0
         self._processes = [ProcessDiagnostics(name, bifrost_node) for name in STATISTICS if name in processes]
         self._devices = DeviceDiagnostics(bifrost_node)
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        node.create_timer(PERIOD, self._publish)
+        self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", 1)
+        node.create_timer(PERIOD, self._publish, clock=STEADY)  # robot time may stand
 
     def _publish(self) -> None:
         snapshot = self._snapshots.newest
@@ -162,7 +167,9 @@ class Diagnostics:
         processes = [process.status() for process in self._processes]
         own = [self._motion_system(snapshot), self._controller(snapshot)]
         message = DiagnosticArray(status=[*own, *processes, *self._devices.statuses()])
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        for status in message.status:
+            status.hardware_id = self._robot
+        message.header.stamp = WALL.now().to_msg()
         self._publisher.publish(message)
 
     @staticmethod
@@ -183,12 +190,24 @@ class Diagnostics:
     def _controller(self, snapshot: Snapshot) -> DiagnosticStatus:
         rate = (snapshot.cycles - self._cycles) / PERIOD
         self._cycles = snapshot.cycles
-        slow = not snapshot.silent and rate < _SLOW * self._rate
-        level = DiagnosticStatus.WARN if slow else DiagnosticStatus.OK
-        text = f"{rate:.0f} Hz, expected {self._rate:.0f} Hz" if slow else snapshot.control_mode
+        late = snapshot.late - self._late
+        self._late = snapshot.late
+        gap = f"{1e3 * snapshot.longest_gap:.1f}"
+        wrong = []
+        if not snapshot.silent and rate < _SLOW * self._rate:
+            wrong.append(f"{rate:.0f} Hz, expected {self._rate:.0f} Hz")
+        if late > 0:
+            expected = f"{1e3 / self._rate:.1f}"
+            wrong.append(
+                f"late: {late} cycles since the last report, {gap} ms apart in robot time, expected {expected}"
+            )
+        level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
+        text = "; ".join(wrong) or snapshot.control_mode
         values = {
             "control mode": snapshot.control_mode,
             "rate [Hz]": f"{rate:.0f}",
+            "late cycles": snapshot.late,
+            "longest gap [ms]": gap,
             **snapshot.controller,
         }
         return _status(level, "valor: valor_ros_controller", text, values)
@@ -196,4 +215,4 @@ class Diagnostics:
 
 def _status(level: bytes, name: str, text: str, values: Mapping[str, object]) -> DiagnosticStatus:
     pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    return DiagnosticStatus(level=level, name=name, message=text, hardware_id="valor", values=pairs)
+    return DiagnosticStatus(level=level, name=name, message=text, values=pairs)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from math import nan
 
 from builtin_interfaces.msg import Time
 
 from valor.common.behaviors import ControlMode
 from valor.common.processes import PROCESSES
+from valor.robot.kinematic_tree import KinematicTree
+from valor.ros.parameters import Parameters
+from valor.ros.transforms import ODOM
 from valor.service import Context
 from valor.valor_ros_controller.core import Core
-from valor.valor_ros_controller.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
-from valor.valor_ros_controller.ros.control_mode_action import ControlModeAction
+from valor.valor_ros_controller.ros.control_mode_action import COMMAND, ControlModeAction
 from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor.valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
 from valor.valor_ros_controller.ros.controller_state import ControllerStatePublisher, Limb
@@ -21,9 +24,10 @@ from valor.valor_ros_controller.ros.footstep_state import FootstepStatePublisher
 from valor.valor_ros_controller.ros.joint_trajectory_action import JointTrajectoryAction
 from valor.valor_ros_controller.ros.motion_state_publisher import MotionStatePublisher
 from valor.valor_ros_controller.ros.node import RosThread
-from valor.valor_ros_controller.ros.parameters import RATE, Parameters, TrajectoryParameters
+from valor.valor_ros_controller.ros.parameters import RATE, TrajectoryParameters
 from valor.valor_ros_controller.ros.publisher import Publisher
 from valor.valor_ros_controller.ros.robot_status import RobotStatusPublisher
+from valor.valor_ros_controller.ros.static_transforms import StaticTransforms
 from valor.valor_ros_controller.ros.tracking_action import TrackingAction
 
 
@@ -53,21 +57,28 @@ class Faces:
         node, refusal = ros.node, context.settings.ros_refusal
         self._node, self._parameters, self._core, self._refusal = node, parameters, core, refusal
         self._stamp = stamp = Time()
-        simulated = context.settings.profile != "hardware"
-        self._publisher = Publisher(node, context.robot, tree, stamp, rate=rate, simulated=simulated)
+        self._period = context.robot.control_period
+        simulated = context.settings.variant == "simulation"
+        prefix = parameters.declare("frame_prefix", context.settings.frame_prefix, "of the robot's frames in tf")
+        odom = prefix + ODOM
+        self._publisher = Publisher(node, context.robot, tree, stamp, rate=rate, simulated=simulated, prefix=prefix)
+        self._static = StaticTransforms(
+            node, parameters, self._publisher.transforms.fixed, odom, prefix + tree.base_frame
+        )
         self.bypass = ControllerBypass(
             node,
             context.node,
             core.interface,
-            (tree.base_frame, tree.base),
+            {prefix + tree.base_frame: "pelvis", prefix + tree.base: "pelvis", odom: "odom"},
             soft_stop=lambda: core.mode_controller.request(ControlMode.SOFT_STOP),
             refusal=refusal,
         )
-        self._motion = MotionStatePublisher(node, context.robot.tables.hands, stamp, rate)
+        self._motion = MotionStatePublisher(node, context.robot.tables.hands, stamp, rate, odom)
         self._status = RobotStatusPublisher(node, core.interface)
         self._modes = ControlModeAction(node, core.mode_controller, stamp)
+        self.bypass.rejections.tell_of(COMMAND, core.mode_controller.refusals)
         self._joint_states = self._open_controllers()
-        self._footsteps = FootstepStatePublisher(node, core.footsteps, stamp)
+        self._footsteps = FootstepStatePublisher(node, core.footsteps, stamp, odom)
         self._managers = ControllerManagerServices(
             node,
             core.switch,
@@ -79,8 +90,9 @@ class Faces:
             refusal=refusal,
         )
         self._snapshots: RealTimeBuffer[Snapshot] = RealTimeBuffer()
-        hardware = context.settings.variant == "hardware"
-        processes = [process.name for process in PROCESSES if hardware or not process.hardware_only]
+        hardware, asked = context.settings.variant == "hardware", context.settings.asked
+        usual = (process for process in PROCESSES if not process.option or process.name in asked)
+        processes = [process.name for process in usual if hardware or not process.hardware_only]
         self._diagnostics = Diagnostics(node, context.node, self._snapshots, rate, processes)
 
     def _open_controllers(self) -> list[ControllerStatePublisher]:
@@ -89,18 +101,20 @@ class Faces:
         configs = table.joint_controllers | table.robot_controllers
         states = []
         for name, controller in core.trajectories.items():
-            base = f"{table.namespace}/{name}"
             TrajectoryParameters(self._parameters, controller, configs[name])
-            JointTrajectoryAction(node, base, controller, self._stamp, core.queue, refusal=self._refusal)
+            action = JointTrajectoryAction(
+                node, table.bases(name), controller, self._stamp, core.queue, refusal=self._refusal
+            )
+            self.bypass.rejections.tell_of(action.topic, controller.refusals)
             states.append(self._open_state(name, controller, configs[name].state_publish_rate))
         for name, follower in core.tracking.items():
-            TrackingAction(node, f"{table.namespace}/{name}", follower)
+            TrackingAction(node, table.bases(name), follower)
             states.append(self._open_state(name, follower, table.tracking_controllers[name].state_publish_rate))
         return states
 
     def _open_state(self, name: str, controller: Limb, default: float) -> ControllerStatePublisher:
-        topic = f"{self._core.table.namespace}/{name}/controller_state"
-        publisher = ControllerStatePublisher(self._node, topic, controller, self._stamp, default)
+        topics = [f"{base}/controller_state" for base in self._core.table.bases(name)]
+        publisher = ControllerStatePublisher(self._node, topics, controller, self._stamp, default)
 
         def change(rate: float) -> None:
             publisher.rate = rate
@@ -113,6 +127,7 @@ class Faces:
         """Publish what waits for nothing but the measurement, as soon as it is there."""
         hw = self._core.hw
         self._stamp.sec, self._stamp.nanosec = divmod(hw.time, 1_000_000_000)
+        self._node.tell_time(hw.time)
         self._publisher.publish_measured(hw)
 
     def publish(self, measured: bool) -> None:
@@ -125,6 +140,7 @@ class Faces:
                 state.publish(hw)
             self._motion.publish(core.interface.motion_state)
             self.bypass.update(mode, hw)
+        self.bypass.report(measured=measured)
         self._modes.publish(hw.time)
         self._footsteps.publish()
         self._managers.publish()
@@ -140,19 +156,22 @@ class Faces:
             "motion_state age [s]": f"{interface.motion_state_age:.3f}",
             "messages rejected": interface.rejected,
             "battery [V]": f"{voltage:.1f}",
-            "commands refused": bypass.refusals,
-            "last command refused": bypass.last_refusal,
+            "commands refused": bypass.rejections.refusals,
+            "last command refused": bypass.rejections.last,
         }
         controller = {
-            "control modes refused": modes.rejected,
-            "last control mode refused": modes.last_refusal,
+            "control modes refused": modes.refusals.count,
+            "last control mode refused": modes.refusals.last,
             "joint controllers": ", ".join(core.joints.active),
-            "trajectories refused": sum(each.rejected for each in trajectories),
-            "last trajectory refused": "; ".join(each.last_refusal for each in trajectories if each.last_refusal),
+            "trajectories refused": sum(each.refusals.count for each in trajectories),
+            "last trajectory refused": "; ".join(each.refusals.last for each in trajectories if each.refusals.last),
             "set-points sent": interface.set_points_sent,
             "set-points clamped": hw.clamped,
         }
         behavior, reason = interface.behavior, interface.behavior_reason
+        late, longest = interface.gaps.late, interface.gaps.longest(time.monotonic()) * self._period
         self._snapshots.write(
-            Snapshot(interface.silent, behavior, reason, modes.current, cycles, motion_system, controller)
+            Snapshot(
+                interface.silent, behavior, reason, modes.current, cycles, late, longest, motion_system, controller
+            )
         )

@@ -17,7 +17,8 @@ from valor.common.messages import StepStatus
 from valor.valor_ros_controller.controllers.footstep_controller import FootstepController, State
 from valor.valor_ros_controller.ros.node import LATCHED
 
-TOPIC = "/robot_controllers/footstep_controller/controller_state"
+TOPIC = "robot_controllers/footstep_controller/controller_state"
+FEEDBACK_MESSAGE = ExecuteStepPlan.Impl.FeedbackMessage  # the one of an action's types that is imported by its name
 _STEPPING = {
     State.READY: FootstepExecutionStatus.NO_ERROR,
     State.ACTIVE: FootstepExecutionStatus.EXECUTING_STEP_PLAN,
@@ -29,17 +30,18 @@ _STEPPING = {
 class FootstepStatePublisher:
     """Publishes on change."""
 
-    def __init__(self, node: Node, controller: FootstepController, stamp: Time) -> None:
+    def __init__(self, node: Node, controller: FootstepController, stamp: Time, frame: str) -> None:
         """Open the topic.
 
         Args:
             node: the ROS node.
             controller: is published of.
             stamp: robot time, kept up to date by its owner.
+            frame: odom, as tf names it.
         """
-        self._controller = controller
+        self._controller, self._frame = controller, frame
         self._stamp = stamp
-        self._publisher = node.create_publisher(ExecuteStepPlan.Feedback, TOPIC, LATCHED)
+        self._publisher = node.create_publisher(FEEDBACK_MESSAGE, TOPIC, LATCHED)
         self._published: tuple[Any, ...] | None = None
 
     def publish(self) -> None:
@@ -48,12 +50,12 @@ class FootstepStatePublisher:
         if self._published is not None and status is self._published[0] and state is self._published[1]:
             return
         self._published = (status, state)
-        self._publisher.publish(self._message(status, state))
+        self._publisher.publish(FEEDBACK_MESSAGE(feedback=self._message(status, state)))
 
     def _message(self, status: StepStatus | None, state: State) -> Any:
         message = ExecuteStepPlan.Feedback(controller_state=int(state))
         message.header.stamp = Time(sec=self._stamp.sec, nanosec=self._stamp.nanosec)
-        message.header.frame_id = "odom"
+        message.header.frame_id = self._frame
         if status is None:
             message.stepping_status = int(FootstepExecutionStatus.ERR_CONTROLLER_NOT_READY)
             message.first_queued_step_index = message.last_queued_step_index = -1

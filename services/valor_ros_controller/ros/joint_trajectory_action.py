@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
+from valor.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest, stated
-from valor.valor_ros_controller.ros.deferred_action_server import DeferredActionServer
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.tolerances import Tolerances
@@ -48,11 +49,26 @@ def _point(position: FloatArray, velocity: FloatArray, acceleration: FloatArray 
     return point
 
 
+def serve(
+    node: Node,
+    base: str,
+    on_goal: Callable[[DeferredActionServer, ServerGoalHandle], None],
+    on_cancel: Callable[[ServerGoalHandle], CancelResponse],
+) -> None:
+    """Serve ``follow_joint_trajectory`` under a name; ``on_goal`` is told which server is to finish the goal."""
+
+    def begin(handle: ServerGoalHandle) -> None:
+        on_goal(server, handle)
+
+    server = DeferredActionServer(node, FollowJointTrajectory, f"{base}/follow_joint_trajectory", begin, on_cancel)
+
+
 class _TrajectoryGoal:
     """A goal of the action."""
 
-    def __init__(self, face: JointTrajectoryAction, handle: ServerGoalHandle) -> None:
+    def __init__(self, face: JointTrajectoryAction, server: DeferredActionServer, handle: ServerGoalHandle) -> None:
         self._face = face
+        self._server = server
         self._handle = handle
 
     def finish(self, outcome: Outcome) -> None:
@@ -60,23 +76,23 @@ class _TrajectoryGoal:
         state = "canceled" if outcome.canceled else ended
         result = FollowJointTrajectory.Result(error_code=int(outcome.code), error_string=outcome.text)
         self._face.forget(self._handle)
-        self._face.server.finish(self._handle, state, result)
+        self._server.finish(self._handle, state, result)
 
     def feedback(self, hw: ValorEscherHWInterface) -> None:
         self._handle.publish_feedback(self._face.feedback(hw))
 
 
 class JointTrajectoryAction:
-    """Trajectories of one controller on ROS.
+    """Trajectories of one controller on ROS, under several names: one controller takes what comes by any of them.
 
     Attributes:
-        server: the action server.
+        topic: where trajectories come without a goal.
     """
 
     def __init__(
         self,
         node: Node,
-        base: str,
+        bases: Sequence[str],
         controller: JointTrajectoryController,
         stamp: Time,
         queue: UpdateQueue,
@@ -87,7 +103,7 @@ class JointTrajectoryAction:
 
         Args:
             node: the ROS node.
-            base: absolute name that those of the interfaces begin with.
+            bases: what the names of the interfaces begin with; ViGIR's first, which has the topic ``command``, too.
             controller: runs the trajectories.
             stamp: robot time, kept up to date by its owner.
             queue: into the update thread.
@@ -99,12 +115,12 @@ class JointTrajectoryAction:
         self._queue = queue
         self._names = list(controller.limits.names)
         self._goals: dict[bytes, Goal] = {}
-        self.server = DeferredActionServer(
-            node, FollowJointTrajectory, f"{base}/follow_joint_trajectory", self._goal, self._cancel
-        )
-        node.create_subscription(JointTrajectory, f"{base}/joint_trajectory", self._command, 1)
-        node.create_subscription(JointTrajectory, f"{base}/command", self._command, 1)
-        node.create_service(QueryTrajectoryState, f"{base}/query_state", self._query)
+        self.topic = f"{bases[0]}/joint_trajectory"
+        node.create_subscription(JointTrajectory, f"{bases[0]}/command", self._command, 1)
+        for base in bases:
+            serve(node, base, self._goal, self._cancel)
+            node.create_subscription(JointTrajectory, f"{base}/joint_trajectory", self._command, 1)
+            node.create_service(QueryTrajectoryState, f"{base}/query_state", self._query)
 
     # --- update thread --------------------------------------------------------------------------------------------
 
@@ -126,8 +142,8 @@ class JointTrajectoryAction:
         """A goal has ended. From any thread."""
         self._goals.pop(bytes(handle.goal_id.uuid), None)
 
-    def _goal(self, handle: ServerGoalHandle) -> None:
-        goal = _TrajectoryGoal(self, handle)
+    def _goal(self, server: DeferredActionServer, handle: ServerGoalHandle) -> None:
+        goal = _TrajectoryGoal(self, server, handle)
         self._goals[bytes(handle.goal_id.uuid)] = goal
         request = handle.request
         try:
@@ -183,6 +199,7 @@ class JointTrajectoryAction:
             points,
             controller.limits,
             allow_partial=settings.allow_partial_joints_goal,
+            at_rest=client is not None,
         )
         path, at_goal, goal_time = settings.path, settings.goal, settings.goal_time
         if goal is not None:

@@ -12,14 +12,15 @@ from valor_msgs.msg import MotionState as RosMotionState
 from bifrost import Received
 from valor.common.messages import MotionState
 from valor.robot.tables import Hands
+from valor.ros.limbs import FEET, HANDS
+from valor.ros.transforms import ODOM
 from valor.valor_ros_controller.ros.node import LATCHED
-from valor.valor_ros_controller.ros.transforms import ODOM
 from valor.valor_ros_controller.ros.twin_publisher import TwinPublisher
 
 RATE = 25.0  # of the points [Hz]
 STATE_RATE = 10.0  # of the motion state [Hz]
 POINTS = ("com", "dcm", "dcm_reference", "cop")
-TOUCHING = ("l_foot", "r_foot", "l_hand", "r_hand")
+TOUCHING = FEET + HANDS
 
 
 class MotionStatePublisher:
@@ -29,7 +30,7 @@ class MotionStatePublisher:
     also when the behavior changes, latched.
     """
 
-    def __init__(self, node: Node, hands: Hands, stamp: Time, rate: float) -> None:
+    def __init__(self, node: Node, hands: Hands, stamp: Time, rate: float, frame: str = ODOM) -> None:
         """Make publishers and messages.
 
         Args:
@@ -37,6 +38,7 @@ class MotionStatePublisher:
             hands: that the robot has; of others nothing is said.
             stamp: robot time, kept up to date by its owner.
             rate: of the update loop [Hz].
+            frame: odom, as tf names it.
         """
         self._every = max(1, round(rate / RATE))
         self._state_every = max(1, round(rate / STATE_RATE))
@@ -44,15 +46,15 @@ class MotionStatePublisher:
         self._points = []
         for name in POINTS:
             message = PointStamped()
-            message.header.stamp, message.header.frame_id = stamp, ODOM
-            self._points.append((node.create_publisher(PointStamped, f"/flor/state/{name}", 5), message))
+            message.header.stamp, message.header.frame_id = stamp, frame
+            self._points.append((node.create_publisher(PointStamped, f"flor/state/{name}", 5), message))
         there = (True, True, hands.left is not None, hands.right is not None)
         self._contacts = [
-            node.create_publisher(Bool, f"/flor/{limb}/contact", LATCHED) if has else None
+            node.create_publisher(Bool, f"flor/{limb}/contact", LATCHED) if has else None
             for limb, has in zip(TOUCHING, there, strict=True)
         ]
         self._touching: list[int | None] = [None] * len(TOUCHING)
-        self._state = TwinPublisher(node, RosMotionState, "/flor/controller/motion_state", LATCHED)
+        self._state = TwinPublisher(node, RosMotionState, "flor/controller/motion_state", LATCHED)
         self._behavior = ""
 
     def publish(self, received: Received[MotionState] | None) -> None:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.executors import ExternalShutdownException, ShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
-from valor.common.errors import ConfigurationError
 from valor.common.floods import TopicFloods
+from valor.ros.lateness import timely
+from valor.ros.node import ProcessNode, RosSide
+from valor.service import Context
 
 PERIOD = 4e-3  # that of the update loop [s]
 CALLBACKS = 10  # in one
@@ -25,21 +25,23 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _log = logging.getLogger("ros")
 
 
-class _CommandNode(Node):  # type: ignore[misc]  # rclpy is untyped
-    """A node whose subscriptions are commands, and counted."""
+class _CommandNode(ProcessNode):
+    """A node whose subscriptions are commands, and counted; those of other computers must be timely."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, context: rclpy.Context, *, others: bool) -> None:
+        """Join; ``others``: other computers may command."""
+        self._others = others
         self.floods = TopicFloods(
             lambda topic: (publisher.node_name for publisher in self.get_publishers_info_by_topic(topic))
         )
-        super().__init__(name, enable_rosout=False)
+        super().__init__(name, context, knows_time=True)
 
-    def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[[Any], None], qos_profile: Any, **options: Any
-    ) -> Any:
-        return super().create_subscription(
-            msg_type, topic, self.floods.counted(topic, callback), qos_profile, **options
-        )
+    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any) -> Any:
+        """Of a command, counted."""
+        name = self.resolve_topic_name(topic)
+        counted = self.floods.counted(name, callback)
+        obeyed = timely(name, counted, others=self._others)
+        return super().create_subscription(msg_type, topic, obeyed, qos_profile, **options)
 
 
 class RosThread(threading.Thread):
@@ -47,32 +49,28 @@ class RosThread(threading.Thread):
 
     Attributes:
         node: the ROS node.
+        life: of the node.
         floods: of the topics that it subscribes to.
         failures: callbacks that raised: logged, counted, and the thread goes on.
     """
 
-    def __init__(self, name: str, arguments: list[str]) -> None:
-        """Join the ROS domain of the environment.
+    def __init__(self, context: Context) -> None:
+        """Join the instance's ROS domain, as the command line says (``--ros-args -p update_rate:=125``).
 
         Args:
-            name: of the node.
-            arguments: of the command line, for ROS (``--ros-args -p update_rate:=125``).
+            context: of the process.
 
         Raises:
             ConfigurationError: the arguments are not ROS arguments.
         """
         super().__init__(name="ros", daemon=True)
-        try:
-            # Signals are the service's own: it ends its loop first and ROS last.
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        except Exception as error:
-            raise ConfigurationError(f"ROS arguments {arguments}: {' '.join(str(error).split())}") from None
-        self.node = _CommandNode(name)
+        environment = context.instance.environment()
+        node = partial(_CommandNode, others=bool(context.settings.peers))
+        self._side = RosSide(context.name, context.settings, environment, context.arguments, node=node)
+        self.node, self.life, self._executor = self._side.node, self._side.life, self._side.executor
         self.floods = self.node.floods
         self.failures = 0
         self._closing = False
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
 
     def run(self) -> None:
         """The thread: so many callbacks a period at most, for it shares the interpreter with the update loop.
@@ -103,6 +101,4 @@ class RosThread(threading.Thread):
         self._executor.wake()
         if self.is_alive():
             self.join()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown()
+        self._side.close()

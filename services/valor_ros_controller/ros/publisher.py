@@ -12,6 +12,7 @@ from math import nan
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from control_msgs.msg import DynamicJointState, InterfaceValue
 from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -23,13 +24,16 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.common.rotation import conjugate, rotate
 from valor.robot.description import RobotDescription
+from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.tables import SensorNoise
-from valor.valor_ros_controller.kinematic_tree import KinematicTree
+from valor.ros.limbs import FEET, HANDS, WRENCH
+from valor.ros.prepared_message import PreparedPublisher, mark, stamp_mark
+from valor.ros.transforms import ODOM, TransformPublisher
 from valor.valor_ros_controller.ros.node import LATCHED
-from valor.valor_ros_controller.ros.prepared_message import PreparedPublisher, mark, stamp_mark
-from valor.valor_ros_controller.ros.transforms import ODOM, TransformPublisher
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
+STATE_INTERFACES = ("position", "velocity", "effort")
+"""Of every joint."""
 QUEUE = 5
 """Depth of the state topics: reliable for whoever asks for it, but old states are let go."""
 
@@ -44,14 +48,16 @@ class Publication:
 
 
 PUBLICATIONS: tuple[Publication, ...] = (
-    Publication("clock", ("/clock",), 250.0),  # in simulation
-    Publication("joints", ("/joint_states",), 250.0),
-    Publication("imu", ("/imu/data",), 250.0),
-    Publication("feet", ("/flor/l_foot/force_torque_sensor", "/flor/r_foot/force_torque_sensor"), 125.0),
-    Publication("hands", ("/flor/l_hand/force_torque_sensor", "/flor/r_hand/force_torque_sensor"), 125.0),
-    Publication("pelvis", ("/flor/state/pelvis_pose_world", "/odom"), 125.0),
+    Publication("clock", ("clock",), 250.0),  # in simulation
+    Publication("joints", ("joint_states",), 250.0),
+    # What joint_states has, at three times the length: for tools that know nothing else.
+    Publication("interfaces", ("dynamic_joint_states",), 50.0),
+    Publication("imu", ("imu/data",), 250.0),
+    Publication("feet", tuple(WRENCH.format(foot) for foot in FEET), 125.0),
+    Publication("hands", tuple(WRENCH.format(hand) for hand in HANDS), 125.0),
+    Publication("pelvis", ("flor/state/pelvis_pose_world", "odom"), 125.0),
     Publication("transforms", ("/tf",), 50.0),
-    Publication("battery", ("/battery_state",), 1.0),
+    Publication("battery", ("battery_state",), 1.0),
 )
 RATES = {publication.name: publication.rate for publication in PUBLICATIONS}
 TOPICS = {publication.name: publication.topics for publication in PUBLICATIONS}
@@ -79,6 +85,18 @@ def _joint_states(robot: RobotDescription) -> JointState:
     return message
 
 
+def _interfaces(robot: RobotDescription) -> DynamicJointState:
+    """As ros2_control's joint_state_broadcaster tells them; the marks are those of ``_joint_states``."""
+    n = len(robot.joints)
+    message = DynamicJointState(joint_names=list(robot.joints))
+    message.header.stamp = stamp_mark()
+    message.interface_values = [
+        InterfaceValue(interface_names=STATE_INTERFACES, values=[mark(n * i + j) for i in range(len(STATE_INTERFACES))])
+        for j in range(n)
+    ]
+    return message
+
+
 def _imu(frame: str, noise: SensorNoise) -> Imu:
     message = Imu()
     message.header.stamp, message.header.frame_id = stamp_mark(), frame
@@ -99,19 +117,19 @@ def _wrench(frame: str) -> WrenchStamped:
     return message
 
 
-def _pelvis_pose() -> PoseStamped:
+def _pelvis_pose(frame: str) -> PoseStamped:
     message = PoseStamped()
-    message.header.stamp, message.header.frame_id = stamp_mark(), ODOM
+    message.header.stamp, message.header.frame_id = stamp_mark(), frame
     _mark_vector(message.pose.position, 0)
     _mark_quaternion(message.pose.orientation, 3)
     return message
 
 
-def _odometry(base_frame: str, noise: SensorNoise) -> Odometry:
+def _odometry(frame: str, base_frame: str, noise: SensorNoise) -> Odometry:
     """The Motion Manager's estimator says how sure it is; the gyroscope's noise is the IMU's."""
     message = Odometry(child_frame_id=base_frame)
-    message.header.stamp, message.header.frame_id = stamp_mark(), ODOM
-    message.pose.pose = _pelvis_pose().pose
+    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    message.pose.pose = _pelvis_pose(frame).pose
     _mark_vector(message.twist.twist.linear, 7)
     _mark_vector(message.twist.twist.angular, 10)
     message.pose.covariance = _diagonal(mark(13 + i) for i in range(6))
@@ -120,10 +138,22 @@ def _odometry(base_frame: str, noise: SensorNoise) -> Odometry:
 
 
 class Publisher:
-    """Publishes a cycle's state. Used from the update thread alone."""
+    """Publishes a cycle's state. Used from the update thread alone.
+
+    Attributes:
+        transforms: of the robot.
+    """
 
     def __init__(
-        self, node: Node, robot: RobotDescription, tree: KinematicTree, stamp: Time, *, rate: float, simulated: bool
+        self,
+        node: Node,
+        robot: RobotDescription,
+        tree: KinematicTree,
+        stamp: Time,
+        *,
+        rate: float,
+        simulated: bool,
+        prefix: str = "",
     ) -> None:
         """Make publishers and messages.
 
@@ -134,33 +164,37 @@ class Publisher:
             stamp: robot time, shared by all headers and kept up to date by its owner.
             rate: of the update loop [Hz].
             simulated: whether robot time is to be everybody's clock.
+            prefix: of frames' names.
         """
 
         def prepared(topic: str, message: object, count: int) -> PreparedPublisher:
-            return PreparedPublisher(node, topic, message, count, stamp=stamp, queue=QUEUE)
+            return PreparedPublisher(node, [topic], message, count, stamp=stamp, queue=QUEUE)
 
         def wrenches(name: str, sites: list[str] | list[str | None]) -> list[PreparedPublisher | None]:
             return [
-                None if site is None else prepared(topic, _wrench(tree.frame_of(site)), 6)
+                None if site is None else prepared(topic, _wrench(prefix + tree.frame_of(site)), 6)
                 for topic, site in zip(TOPICS[name], sites, strict=True)
             ]
 
         tables = robot.tables
-        (joints_topic,), (imu_topic,), (pose_topic, odom_topic) = (TOPICS[name] for name in ("joints", "imu", "pelvis"))
+        (joints_topic,), (interfaces_topic,), (imu_topic,), (pose_topic, odom_topic) = (
+            TOPICS[name] for name in ("joints", "interfaces", "imu", "pelvis")
+        )
         noise = max((profile.noise for profile in tables.actuators.values()), key=lambda noise: noise.gyroscope)
         self._cycle = 0
-        node.create_publisher(String, "/robot_description", LATCHED).publish(String(data=tree.urdf))
+        node.create_publisher(String, "robot_description", LATCHED).publish(String(data=tree.urdf))
         self._clock = node.create_publisher(Clock, *TOPICS["clock"], 1) if simulated else None
         self._clock_message = Clock(clock=stamp)
         self._joints = prepared(joints_topic, _joint_states(robot), 3 * len(robot.joints))
         self._joint_vectors = self._joints.values.reshape(3, -1)
-        self._imu = prepared(imu_topic, _imu(tree.frame_of(tables.imu.site), noise), 10)
+        self._interfaces = prepared(interfaces_topic, _interfaces(robot), 3 * len(robot.joints))
+        self._imu = prepared(imu_topic, _imu(prefix + tree.frame_of(tables.imu.site), noise), 10)
         self._feet = wrenches("feet", [tables.feet.left.sole, tables.feet.right.sole])
         hands = (tables.hands.left, tables.hands.right)
         self._hands = wrenches("hands", [None if hand is None else hand.site for hand in hands])
-        self._pose = prepared(pose_topic, _pelvis_pose(), 7)
-        self._odom = prepared(odom_topic, _odometry(tree.base_frame, noise), 22)
-        self._transforms = TransformPublisher(node, tree, robot, stamp)
+        self._pose = prepared(pose_topic, _pelvis_pose(prefix + ODOM), 7)
+        self._odom = prepared(odom_topic, _odometry(prefix + ODOM, prefix + tree.base_frame, noise), 22)
+        self.transforms = TransformPublisher(node, tree, robot, stamp, prefix=prefix)
         self._battery = node.create_publisher(BatteryState, *TOPICS["battery"], 1)
         unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
         self._battery_message = BatteryState(present=True, **unknown)
@@ -168,21 +202,22 @@ class Publisher:
         self._schedule(rate)
 
     def _schedule(self, rate: float) -> None:
-        """Spread the work over cycles: the n-th of these begins in the n-th cycle."""
+        """Spread the work over cycles; what comes equally often comes together, to be matched by its stamps."""
         self._joints_every = max(1, round(rate / RATES["joints"]))
         self._due: list[tuple[int, int, Callable[[ValorEscherHWInterface], None]]] = []
-        for offset, (name, publish) in enumerate(
-            (
-                ("imu", self._publish_imu),
-                ("feet", self._publish_feet),
-                ("hands", self._publish_hands),
-                ("pelvis", self._publish_pelvis),
-                ("transforms", self._publish_transforms),
-                ("battery", self._publish_battery),
-            )
+        offsets: dict[int, int] = {}  # of what comes in every so many cycles
+        for name, publish in (
+            ("imu", self._publish_imu),
+            ("feet", self._publish_feet),
+            ("hands", self._publish_hands),
+            ("pelvis", self._publish_pelvis),
+            ("transforms", self._publish_transforms),
+            ("interfaces", self._publish_interfaces),
+            ("battery", self._publish_battery),
         ):
             every = max(1, round(rate / RATES[name]))
-            self._due.append((every, offset % every, publish))
+            offset = offsets.setdefault(every, len(offsets) % every)
+            self._due.append((every, offset, publish))
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
         """Publish what else is due in this cycle."""
@@ -205,6 +240,14 @@ class Publisher:
         vectors = self._joint_vectors
         vectors[0], vectors[1], vectors[2] = measured.joint_position, measured.joint_velocity, measured.joint_effort
         self._joints.publish()
+
+    def _publish_interfaces(self, hw: ValorEscherHWInterface) -> None:
+        if not self._interfaces.heard:
+            return
+        measured = _measured(hw)
+        values = (measured.joint_position, measured.joint_velocity, measured.joint_effort)
+        self._interfaces.values[:] = np.concatenate(values)
+        self._interfaces.publish()
 
     def _publish_imu(self, hw: ValorEscherHWInterface) -> None:
         measured, values = _measured(hw), self._imu.values
@@ -246,8 +289,9 @@ class Publisher:
         self._odom.publish()
 
     def _publish_transforms(self, hw: ValorEscherHWInterface) -> None:
-        if hw.motion is not None:
-            self._transforms.publish(hw.position, hw.motion)
+        if (motion := hw.motion) is not None:
+            pose = motion.pelvis_position_in_odom, motion.pelvis_orientation_in_odom
+            self.transforms.publish(hw.position, *pose)
 
     def _publish_battery(self, hw: ValorEscherHWInterface) -> None:
         self._battery_message.voltage = _measured(hw).battery_voltage

@@ -9,7 +9,7 @@ from valor.common.behaviors import BALANCING, FALLEN, Behavior
 from valor.valor_ros_controller.ros.node import LATCHED
 from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
-TOPIC = "/flor/controller/robot_status"
+TOPIC = "flor/controller/robot_status"
 _HELD = frozenset(Behavior) - BALANCING - FALLEN
 
 
@@ -19,6 +19,7 @@ class RobotStatusPublisher:
     def __init__(self, node: Node, interface: ValorEscherInterface) -> None:
         self._publisher = node.create_publisher(DiagnosticStatus, TOPIC, LATCHED)
         self._interface = interface
+        self._robot = node.get_namespace().strip("/") or "valor"
         self._said: tuple[str, ...] = ()
 
     def publish(self, control_mode: str) -> None:
@@ -45,7 +46,7 @@ class RobotStatusPublisher:
                 level=level,
                 name="valor: robot",
                 message=text,
-                hardware_id="valor",
+                hardware_id=self._robot,
                 values=[KeyValue(key=key, value=value) for key, value in values.items()],
             )
         )

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from bifrost import Received
+from valor.ros.node import WALL
 
 
 class TwinPublisher:
@@ -24,14 +25,13 @@ class TwinPublisher:
             topic: name of the ROS topic.
             qos: quality of service, or depth.
         """
-        self._clock = node.get_clock()
         self._publisher = node.create_publisher(twin, topic, qos)
         self._message = twin()
 
     def publish(self, received: Received[Any]) -> None:
         """Publish a message, with its origin and sequence."""
         message, twin = received.message, self._message
-        twin.header.stamp = self._clock.now().to_msg()
+        twin.header.stamp = WALL.now().to_msg()
         twin.header.frame_id = received.origin
         twin.bifrost_sequence = received.sequence
         for name in message.__struct_fields__:

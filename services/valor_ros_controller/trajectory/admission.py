@@ -18,6 +18,8 @@ START_TOLERANCE = 0.1
 LONGEST_WAIT = 600.0
 """A trajectory may not begin later than this [s]: a later one is stamped with another clock."""
 _END_VELOCITY = 1e-6  # [1/s]
+_JOINS = (0.1, 0.2, 0.4)  # after which a trajectory of dense points is joined that begins beside the set-point [s]
+_DELAYS = (0.0, 0.1, 0.3, 1.0)  # parts of the most that a trajectory may be late, one tried after the other
 
 
 def _range(limits: CommandedLimits, joint: int) -> str:
@@ -37,8 +39,9 @@ def check_waypoints(
     limits: CommandedLimits,
     *,
     allow_partial: bool = False,
+    at_rest: bool = True,
 ) -> Waypoints:
-    """Check a trajectory as it came and lay splines through it.
+    """Check a trajectory as it came and lay splines through it; ``at_rest``: it must end so.
 
     Raises:
         InvalidTrajectoryError: with the code and the text that the client gets.
@@ -50,6 +53,8 @@ def check_waypoints(
     times = _times(points)
     limits = limits.select(columns)
     _check_states(states, limits)
+    if at_rest:
+        _check_end(states[1, -1], limits)
     durations = np.diff(times)
     coefficients = spline(states[:, :-1], states[:, 1:], durations, np.minimum(order[:-1], order[1:]))
     speed, acceleration = _check_segments(coefficients, durations, limits)
@@ -113,7 +118,7 @@ def _times(points: Sequence[Point]) -> FloatArray:
 
 
 def _check_states(states: FloatArray, limits: CommandedLimits) -> None:
-    """Whether the points keep within the limits, and the last of them rests."""
+    """Whether the points keep within the limits."""
     positions, velocities, _ = states
     for values, outside, per, limit in (
         (positions, positions != limits.position_within(positions), "", _range),
@@ -123,9 +128,13 @@ def _check_states(states: FloatArray, limits: CommandedLimits) -> None:
             i, joint = np.argwhere(outside)[0]
             value = f"{values[i, joint]:.4g} {limits.units[joint]}{per}"
             raise InvalidTrajectoryError(f"point {i}: {limits.names[joint]} at {value}; {limit(limits, joint)}")
-    if (np.abs(velocities[-1]) > _END_VELOCITY).any():
-        joint = int(np.argmax(np.abs(velocities[-1])))
-        value = f"{velocities[-1, joint]:.4g} {limits.units[joint]}/s"
+
+
+def _check_end(velocity: FloatArray, limits: CommandedLimits) -> None:
+    """Whether the last point rests."""
+    if (np.abs(velocity) > _END_VELOCITY).any():
+        joint = int(np.argmax(np.abs(velocity)))
+        value = f"{velocity[joint]:.4g} {limits.units[joint]}/s"
         raise InvalidTrajectoryError(f"{limits.names[joint]} has {value} at the last point; expected 0")
 
 
@@ -181,6 +190,7 @@ def begin(
     limits: CommandedLimits,
     *,
     error: FloatArray | None = None,
+    late: float = 0.0,
 ) -> Trajectory:
     """Go from the present set-point to the first point that is still to come, and on from there.
 
@@ -191,6 +201,7 @@ def begin(
         state: (3, n) position, velocity and acceleration commanded now; joints without way-points stay there.
         limits: of the controller's joints.
         error: (n,) to within which what has these limits shall follow; None: to within any.
+        late: by so much the points may be reached later than asked, if the first is too far away for its time [s].
 
     Raises:
         InvalidTrajectoryError: it ended in the past, begins too far away for the speed limits or with a jump, or
@@ -202,19 +213,74 @@ def begin(
     first = _next_point(times, start, now)
     if not start and first == 1:
         _check_start(waypoints.states[0, 0], present[0], moving)
-    duration = np.array([(int(times[first]) - now) * 1e-9])
-    following = slice(first, first + 1)
-    opening = spline(present[:, None], waypoints.states[:, following], duration, waypoints.order[following])
-    speed, acceleration = _check_segments(opening, duration, moving, f"between now and point {first}")
-    if error is not None:
-        speed, acceleration = np.maximum(speed, waypoints.speed), np.maximum(acceleration, waypoints.acceleration)
-        _check_jumps(speed, acceleration, moving, error[columns])
+    joins = [first] if start or first != 1 else _joins(times, now)
+    within = None if error is None else error[columns]
+    first, delay, opening = _join(waypoints, times - now, joins, present, moving, late=late, error=within)
+    times += delay
     coefficients = np.zeros((len(times) - first, 6, len(limits.names)))
     coefficients[:, 0] = state[0]
     coefficients[:, :, columns] = np.concatenate((opening, waypoints.coefficients[first:]))
     final = state[0].copy()
     final[columns] = waypoints.states[0, -1]
     return Trajectory([now, *times[first:].tolist()], coefficients, final)
+
+
+def _joins(times: Indices, now: int) -> list[int]:
+    """Points at which to join a trajectory that begins beside the set-point: the next, else such as leave more time."""
+    later = np.searchsorted(times, now + np.rint(np.array(_JOINS) * 1e9))
+    return list(dict.fromkeys([1, *np.minimum(later, len(times) - 1).tolist()]))
+
+
+def _join(
+    waypoints: Waypoints,
+    times: Indices,
+    joins: list[int],
+    present: FloatArray,
+    limits: CommandedLimits,
+    *,
+    late: float,
+    error: FloatArray | None,
+) -> tuple[int, int, FloatArray]:
+    """The first of some points that can be reached in ``times`` [ns].
+
+    Returns:
+        Which; how much later than asked [ns]; (1, 6, m) coefficients of the way there.
+    """
+    refusals = []
+    for join in joins:
+        try:
+            delay, opening, speed, acceleration = _opening(
+                waypoints, join, int(times[join]), present, limits, late=late
+            )
+            if error is not None:
+                fastest = np.maximum(speed, waypoints.speed)
+                _check_jumps(fastest, np.maximum(acceleration, waypoints.acceleration), limits, error)
+        except InvalidTrajectoryError as refusal:
+            refusals.append(refusal)
+        else:
+            return join, delay, opening
+    raise refusals[0]
+
+
+def _opening(
+    waypoints: Waypoints, first: int, time: int, present: FloatArray, limits: CommandedLimits, *, late: float
+) -> tuple[int, FloatArray, FloatArray, FloatArray]:
+    """The segment that leads to point ``first`` in ``time`` [ns], or as much later as it needs.
+
+    Returns:
+        How much later [ns]; (1, 6, m) coefficients; (m,) greatest speed and acceleration.
+    """
+    following = slice(first, first + 1)
+    delays = [round(late * 1e9 * part) for part in _DELAYS] if late else [0]
+    for delay in delays:
+        duration = np.array([(time + delay) * 1e-9])
+        opening = spline(present[:, None], waypoints.states[:, following], duration, waypoints.order[following])
+        try:
+            return delay, opening, *_check_segments(opening, duration, limits, f"between now and point {first}")
+        except InvalidTrajectoryError:
+            if delay == delays[-1]:
+                raise
+    raise AssertionError("the last delay returns or raises")
 
 
 def _next_point(times: Indices, start: int, now: int) -> int:

@@ -71,6 +71,12 @@ class Trajectory:
         final = limits.position_within(position + velocity * (0.5 * duration))
         return cls((now + knots).tolist(), coefficients, final)
 
+    def then_resting(self, velocity: FloatArray, deceleration: FloatArray, limits: CommandedLimits) -> Trajectory:
+        """This one, and behind its end, where it has ``velocity`` (n,), to rest, as ``stopping`` does."""
+        rest = Trajectory.stopping(self.end, self._final, velocity, deceleration, limits)
+        coefficients = np.concatenate((self._coefficients, rest._coefficients))
+        return Trajectory([*self._knots, *rest._knots[1:]], coefficients, rest._final)
+
     def sample(self, now: int, state: FloatArray) -> None:
         """Write position, velocity and acceleration (3, n) at a robot time [ns], which does not run backwards."""
         knots = self._knots

@@ -30,13 +30,13 @@ from tests.integration.bag_recorder.recorder import (
     sequences,
 )
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.bag_recorder.definitions import definition
 from valor.bags import recordings
 from valor.bags.recovery import recover
 from valor.common.bounds import Bounds
 from valor.common.instance import Recording
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import MOTOR
+from valor.ros.definitions import definition
 from valor.valorctl import recording_report
 
 OLD = "2026-01-02_10-00-00"

@@ -28,8 +28,8 @@ from valor.bag_recorder.last_seconds import AFTER_FALL
 from valor.bags import recordings, rosbag2_metadata
 from valor.bags.recovery import recover
 from valor.common.instance import Recording
-from valor.common.messages import SnapRequest
-from valor.common.topics import MOTION_STATE, MOTOR, SNAP
+from valor.common.messages import MarkRequest, SnapRequest
+from valor.common.topics import MARK, MOTION_STATE, MOTOR, SNAP
 from valor.valorctl import recording_list
 
 
@@ -84,9 +84,16 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     for _ in range(20):
         fallen()
     assert len(bags(instance)) == 2, "a fall is saved once"
+    assert MARK.client(node).call(MarkRequest(" the hand\n slips "), timeout=20.0).accepted
+    marked = Path(client.call(SnapRequest(), timeout=20.0).path)
+    assert ("mark", "the hand slips") in events(marked)
     stream.stop()
     assert instance.stop("bag_recorder") == 0
-    assert len(bags(instance)) == 2
+    assert len(bags(instance)) == 3
+
+
+def events(bag: Path) -> list[tuple[str, str]]:
+    return [(each["what"], each["reason"]) for each in metadata(bag, "event")]
 
 
 def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance) -> None:
@@ -94,3 +101,19 @@ def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance)
     client = SNAP.client(instance.node())
     reply = client.call(SnapRequest(), timeout=20.0)
     assert not reply.accepted and "everything is being recorded" in reply.reason
+
+
+def test_a_moment_is_marked_where_everything_is_recorded(instance: RunningInstance) -> None:
+    recorder(instance)
+    client = MARK.client(instance.node())
+    before = time.time_ns()
+    marked = client.call(MarkRequest("here it slips"), timeout=20.0)
+    assert marked.accepted and before <= marked.stamp <= time.time_ns()
+    for text in ("", " \n", "x" * 201):
+        refused = client.call(MarkRequest(text), timeout=20.0)
+        assert not refused.accepted and "expected 1 to 200" in refused.reason
+    assert instance.stop("bag_recorder") == 0
+    (bag,) = bags(instance)
+    assert events(bag) == [("mark", "here it slips")]
+    head = rosbag2_metadata.head(bag.parent)
+    assert head is not None and list(head.events.values()) == ["mark: here it slips"]

@@ -22,9 +22,9 @@ from tests.integration.bag_recorder.recorder import (
     SECOND,
 )
 from valor.bag_recorder.bag import Bag, RecordedTopic
-from valor.bag_recorder.definitions import definition
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.ros.definitions import definition
 from valor.valorctl import bag_player
 from valor.valorctl.ros_domain import DOMAINS
 

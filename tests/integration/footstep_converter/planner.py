@@ -45,7 +45,9 @@ class Client:
         # A client of an action forgets a goal with its result; feedback that comes behind is on the topic alone.
         self._words: list[Any] = []
         latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(ExecuteStepPlan.Feedback, FEEDBACK, self._words.append, latched)
+        self.node.create_subscription(
+            ExecuteStepPlan.Impl.FeedbackMessage, FEEDBACK, lambda m: self._words.append(m.feedback), latched
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = ThreadPoolExecutor(1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import time
 from typing import Any
@@ -27,8 +28,21 @@ FEEDBACK_PERIOD = 0.1  # [s]
 
 def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_client: Client) -> None:
     motion.says("finished", performed=3, reason="the plan before")
+
+    def robot_time() -> int:
+        """As a refusal is stamped with; 0 until it is heard."""
+        refused = ros_client.send(StepPlan())
+        ros_client.outcome(refused)
+        return int(refused.last_words.header.stamp.sec)
+
+    wait_until(lambda: robot_time() >= 5, LIMIT, "robot time")
     goal = ros_client.send(plan())
     wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
+    waiting = wait_until(lambda: goal.feedback, LIMIT, "feedback while it is handed over")[0]
+    assert (waiting.controller_state, waiting.stepping_status) == (waiting.READY, S.WAITING_FOR_ATLAS)
+    assert waiting.header.stamp.sec >= 5 and waiting.queue_size == 4 and waiting.status.warning_msg == ""
+    assert (waiting.first_queued_step_index, waiting.last_queued_step_index) == (0, 3)
+    assert (waiting.last_performed_step_index, waiting.first_changeable_step_index) == (-1, 0)
     sent = motion.requests[0].steps
     assert [(s.step_index, s.foot) for s in sent] == [(0, 0), (1, 1), (2, 0), (3, 1)]
     np.testing.assert_array_equal(sent[2].position_in_odom, [0.2 * 3, 0.11, 0.0])
@@ -50,6 +64,16 @@ def test_a_plan_is_executed_and_followed(motion: ScriptedMotionManager, ros_clie
     assert ros_client.outcome(goal) == (GoalStatus.STATUS_SUCCEEDED, S.REACHED_GOAL, "")
     assert goal.result.result.controller_state == ExecuteStepPlan.Feedback.FINISHED  # type: ignore[attr-defined]  # set by a callback
     assert len(motion.requests) == 1
+
+    again = ros_client.send(plan())
+    wait_until(lambda: len(motion.requests) == 2, LIMIT, "the same plan again")
+    motion.behavior = "step"
+    motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
+    wait_until(lambda: any(f.currently_executing_step_index == 1 for f in again.feedback), LIMIT, "feedback of step 1")
+    assert again.feedback[0].status.warning_msg == "the same plan as the one before: it is walked again"
+    motion.behavior = "stand"
+    motion.says("finished", performed=3)
+    assert ros_client.outcome(again)[1] == S.REACHED_GOAL
 
 
 def test_feedback_comes_ten_times_a_second_and_with_every_step(
@@ -96,10 +120,20 @@ def test_steps_that_begin_before_the_acceptance_is_heard_are_told(
     assert 0 in {f.currently_executing_step_index for f in goal.feedback if f.controller_state == f.ACTIVE}
 
 
+def get_message_by_name(node: Any, topic: str) -> Any:
+    """The type of a topic, found as ``ros2 topic echo`` finds it: a message, or an action's FeedbackMessage."""
+    types = wait_until(lambda: dict(node.get_topic_names_and_types()).get(topic), LIMIT, topic)
+    package, kind, name = types[0].split("/")
+    module = importlib.import_module(f"{package}.{kind}")
+    action, _, impl = name.partition("_")
+    return getattr(getattr(module, action).Impl, impl) if name.endswith("_FeedbackMessage") else getattr(module, name)
+
+
 def test_a_tool_may_publish_its_plan(motion: ScriptedMotionManager, ros_client: Client) -> None:
     heard: list[Any] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    ros_client.node.create_subscription(ExecuteStepPlan.Feedback, FEEDBACK, heard.append, latched)
+    told = get_message_by_name(ros_client.node, FEEDBACK)
+    ros_client.node.create_subscription(told, FEEDBACK, lambda message: heard.append(message.feedback), latched)
     publisher = ros_client.node.create_publisher(StepPlan, ACTION, 1)
     wait_until(publisher.get_subscription_count, LIMIT, "the converter's subscription")
     wrong = plan(count=3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from action_msgs.msg import GoalStatus
 from vigir_footstep_planning_msgs.msg import ErrorStatus, StepPlan
 
@@ -22,13 +24,21 @@ def test_without_a_motion_manager_the_error_says_so(ros_client: Client) -> None:
 
 
 def test_a_refusal_is_passed_on_word_for_word(motion: ScriptedMotionManager, ros_client: Client) -> None:
-    motion.accepts = lambda request: (False, "stepping is not available yet")
+    motion.behavior, motion.accepts = "step", lambda request: (False, "stepping is not available yet")
     goal = ros_client.send(plan())
     assert ros_client.outcome(goal) == (
         GoalStatus.STATUS_ABORTED,
         S.ERR_CONTROLLER_NOT_READY,
         "stepping is not available yet",
     )
+    for behavior in ("stand", "walk"):  # one code for the wrong mode, wherever the robot stands
+        motion.behavior, motion.accepts = behavior, lambda request: (False, "ask for step first")
+        status, flags, text = ros_client.outcome(ros_client.send(plan()))
+        assert (status, flags, text) == (
+            GoalStatus.STATUS_ABORTED,
+            S.ERR_INVALID_BEHAVIOR_MODE,
+            "ask for step first",
+        )
     motion.behavior, motion.accepts = "fall", lambda request: (False, "the robot has fallen")
     goal = ros_client.send(plan())
     status, flags, text = ros_client.outcome(goal)
@@ -64,6 +74,19 @@ def test_a_broken_plan_is_refused_and_nothing_forwarded(
         assert text in said
     assert not motion.requests
     wait_until(lambda: (r := statistics.latest()) and r.message.rejected == before + 4, LIMIT, "the refusals counted")
+
+
+def test_a_plan_of_any_length_is_refused_quickly(motion: ScriptedMotionManager, ros_client: Client) -> None:
+    """Its steps are taken off the wire and not looked at: longer by ten, hardly longer by more than ten."""
+
+    def refused(count: int) -> float:
+        endless = plan(count=count)
+        began = time.monotonic()
+        assert ros_client.outcome(ros_client.send(endless))[1] == S.ERR_INVALID_PLAN
+        return time.monotonic() - began
+
+    short, long = (min(refused(count) for _ in range(2)) for count in (500, 5_000))
+    assert long < 15.0 * short + 1.0, f"{short:.2f} s for 500 steps, {long:.2f} s for 5000"
 
 
 def test_a_silent_motion_manager_is_told_to_stop(motion: ScriptedMotionManager, ros_client: Client) -> None:

@@ -70,8 +70,8 @@ def rows(title: str) -> list[list[Row]]:
         for cells in table:
             words = re.findall(r"`([a-z0-9_]+/[A-Za-z0-9]+)`", cells["type"])
             kind = words[0] if words else (of_table[-1].type if "same" in cells["type"] else "")
-            if cells["type"].endswith("feedback"):
-                kind = kind.replace("/", "/action/") + "_Feedback"
+            if cells["type"].endswith("feedback message"):
+                kind = kind.replace("/", "/action/") + "_FeedbackMessage"
             of_table += [Row(name, kind, cells) for name in names(cells["name"])]
         made.append(of_table)
     return made

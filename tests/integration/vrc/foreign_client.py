@@ -110,7 +110,7 @@ def check_state(client: Client) -> dict[str, Any]:
         while chain[-1] in edges:
             chain.append(edges[chain[-1]].header.frame_id)
             assert len(chain) < 40
-        assert chain[-1] == "odom", f"{frame} hangs from {chain[-1]}"
+        assert chain[-1] == "map", f"{frame} hangs from {chain[-1]}"
     for transform in edges.values():
         q = transform.transform.rotation
         assert abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) < 1e-6

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 from controller_manager_msgs.srv import SwitchController
@@ -18,7 +17,7 @@ import bifrost
 from harness.instance import RunningInstance
 from harness.system import RosClient
 from harness.waiting import wait_until
-from tests.integration.vrc.vrc_system import HOME, PATIENCE, VRC, Topic, ask, go
+from tests.integration.vrc.vrc_system import HOME, PATIENCE, VRC, Topic, ask, go, publish
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
 from valor.common.topics import MOTION_STATE
@@ -44,14 +43,6 @@ def unobeyed(system: RunningInstance, ros: RosClient) -> Iterator[RosClient]:
     yield ros
     restart(system, "all")
     go(ros, "stand")
-
-
-def publish(ros: RosClient, topic: str, message: Any) -> None:
-    publisher = ros.node.create_publisher(type(message), topic, 1)
-    wait_until(publisher.get_subscription_count, PATIENCE, f"somebody to listen to {topic}")
-    publisher.publish(message)
-    wait_until(publisher.wait_for_all_acked, PATIENCE, f"{topic} to be taken")
-    ros.destroy(ros.node.destroy_publisher, publisher)
 
 
 def test_whoever_commands_on_ros_is_refused_and_told_why(

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import subprocess
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from harness.instance import RunningInstance
 from harness.system import RosClient
 from tests.integration.vrc.documented_interfaces import rows
-from tests.integration.vrc.vrc_system import PATIENCE, go
+from tests.integration.vrc.vrc_system import PATIENCE, found_by, go
 
 pytestmark = pytest.mark.timeout(580)
 CLIENT = Path(__file__).with_name("foreign_client.py")
@@ -34,18 +31,7 @@ def said(system: RunningInstance) -> dict[str, Any]:
         go(client, "walk_manipulate")
     finally:
         client.close()
-    result = subprocess.run(
-        [sys.executable, str(CLIENT)],
-        cwd="/",
-        env=system.environment,
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr + system.log("motion_manager")
-    found: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
-    return found
+    return found_by(system, CLIENT)
 
 
 def test_a_program_with_standard_messages_alone_reads_and_moves_the_robot(said: dict[str, Any]) -> None:

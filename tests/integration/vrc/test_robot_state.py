@@ -64,7 +64,7 @@ def test_tf_odometry_and_clock(ros: RosClient) -> None:
         while chain[-1] in parents:
             chain.append(parents[chain[-1]])
             assert len(chain) < 30, f"a loop above {frame}"
-        assert chain[-1] == "odom", f"{frame} hangs from {chain[-1]}"
+        assert chain[-1] == "map", f"{frame} hangs from {chain[-1]}"
     height = odom.messages[-1].pose.pose.position.z
     assert 0.5 < height < 1.2
     footprint = next(t for t in moving.messages[-1].transforms if t.child_frame_id == "base_footprint")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import pytest
+from valor_msgs.msg import JointGains, Rejection
 
 import bifrost
 from harness.instance import RunningInstance
@@ -24,7 +25,9 @@ from tests.integration.vrc.vrc_system import (
     STATUS_ABORTED,
     SUCCESSFUL,
     VRC,
+    Topic,
     errors,
+    publish,
     resting,
     send,
 )
@@ -81,6 +84,11 @@ def test_a_dead_comms_manager_is_named_and_its_return_is_followed(
 
     system.kill("comms_manager")
     wait_until(lambda: "comms_manager" in detail(), PATIENCE, "the VRC to name the silent process")
+    rejections = Topic(ros, Rejection, "/flor/controller/rejection", latched=True)
+    gains = "/flor/controller/joint_gains"
+    publish(ros, gains, JointGains())
+    told = (gains, "comms_manager is silent")
+    wait_until(lambda: told in {(m.topic, m.reason) for m in rejections.messages}, PATIENCE, "gains to be refused")
     system.start("comms_manager")
     system.wait_ready(VRC, PATIENCE)
     statistics.close()

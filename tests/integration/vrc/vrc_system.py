@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,6 +44,22 @@ def standing_robot() -> Iterator[RunningInstance]:
         for process in (VRC, "footstep_converter"):
             running.wait_ready(process, 2 * PATIENCE)
         yield running
+
+
+def found_by(system: RunningInstance, client: Path, *arguments: str) -> dict[str, Any]:
+    """What a program that is none of ours found, run from elsewhere: the last line that it prints, as JSON."""
+    result = subprocess.run(
+        [sys.executable, str(client), *arguments],
+        cwd="/",
+        env=system.environment,
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr + system.log("motion_manager")
+    found: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
+    return found
 
 
 def go(ros: RosClient, mode: str) -> None:
@@ -137,3 +156,12 @@ def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
     handle = ros._wait(ros._call(client.send_goal_async, goal), PATIENCE, "an answer to the goal")
     assert handle.accepted
     return handle
+
+
+def publish(ros: RosClient, topic: str, message: Any) -> None:
+    """Once, to whoever listens."""
+    publisher = ros.node.create_publisher(type(message), topic, 1)
+    wait_until(publisher.get_subscription_count, PATIENCE, f"somebody to listen to {topic}")
+    publisher.publish(message)
+    wait_until(publisher.wait_for_all_acked, PATIENCE, f"{topic} to be taken")
+    ros.destroy(ros.node.destroy_publisher, publisher)

@@ -27,6 +27,9 @@ BUILDS = {
     "several joints a body": Build(together=True, waist="zyx", arm=7, root="chest", hip="xyz"),
     "along y": Build(heading=1.5708),
     "backwards": Build(heading=3.14159, root="chest", hip="xyz", knee=-1),
+    "sprung toes, rods in loops, coupled fingers": Build(
+        toes=True, linkage=True, fingers=True, arm=7, spring=True, uneven=0.05, root="chest"
+    ),
     "neither arms nor head": Build(arm=0, neck=False, waist=""),
 }
 

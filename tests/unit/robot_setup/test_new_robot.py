@@ -22,6 +22,9 @@ from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.robot.soundness import examine
 from valor.robot_setup.new import new_robot
+from valor.robot_setup.robot_yaml import VELOCITY_LAG
+from valor.valorctl import demonstration
+from valor.whole_body.tuning_tables import Estimator, Tuning
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
@@ -85,13 +88,48 @@ def test_a_robot_of_three_kilograms_stands_is_pushed_and_walks(tmp_path: Path) -
     assert float(loop.plant.data.qpos[0]) - x > 0.5 * 0.12 * (loop.time - start)
 
 
+def test_a_robot_on_narrow_soles_walks_over_dirt(tmp_path: Path) -> None:
+    """They rock on bumps, with ankles that are never far from a stop."""
+    robot = made(Build(mass=33, leg=0.64, sole="points", narrow=0.36, ankle=0.26), tmp_path)
+    loop = ClosedLoop(robot, "hardware", seed=1, world=demonstration.WORLD)
+    loop.settle(0.3)
+    loop.run(1.0)
+    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+
+    def walk(loop: ClosedLoop) -> None:
+        if loop.state.pelvis_position_in_odom[0] < 3.0:
+            source.command(np.array([demonstration.speed(robot), 0.0, 0.0]), loop.time)
+        source.advance(loop.time)
+
+    while loop.fall is None and (loop.state.pelvis_position_in_odom[0] < 3.0 or loop.controller.stepping):
+        loop.run(0.1, walk)
+        assert loop.time < 30.0
+    assert loop.fall is None
+
+
+def test_ankles_on_narrow_soles_brake_no_quicker_than_drives(tmp_path: Path) -> None:
+    usual, narrow = made(Build(), tmp_path / "usual"), made(Build(narrow=0.36), tmp_path / "narrow")
+    assert usual.read(Tuning).whole_body.limit_response > 40
+    response = narrow.read(Tuning).whole_body.limit_response
+    assert pytest.approx(1 / (2 * np.pi * Estimator().joint_velocity_bandwidth), rel=0.02) == VELOCITY_LAG
+    hardware = narrow.tables.actuators["hardware"]
+    assert response < 0.3 / (hardware.torque_lag + hardware.delay + VELOCITY_LAG)
+    speeds = [demonstration.speed(robot) for robot in (usual, narrow)]
+    assert 0.5 * speeds[0] < speeds[1] < 0.95 * speeds[0]
+
+
+PASSIVE = ("left_finger_tip", "right_finger_tip", "antenna")
+
+
 def test_the_file_says_what_it_guessed_and_left_out(tmp_path: Path) -> None:
     robot = made(Build(fingers=True, spring=True), tmp_path)
     text = robot.file.read_text()
     assert "guessed: velocity" in text
-    welded = next(line for line in text.splitlines() if "Welded" in line)
-    assert all(name in welded for name in ("left_finger_tip", "right_finger_tip", "antenna"))
-    assert "antenna" not in robot.joints
+    passive = {name: next(line for line in text.splitlines() if line.startswith(f"  {name}:")) for name in PASSIVE}
+    assert "# follows left_finger" in passive["left_finger_tip"]
+    assert "# a spring of 0.1 N·m/rad" in passive["antenna"]
+    assert set(robot.tables.passive) == set(PASSIVE)
+    assert all(each.simulated for each in robot.tables.passive.values())
 
 
 def test_a_joint_drawn_away_from_zero_has_its_zero_where_the_maker_has_it(tmp_path: Path) -> None:

@@ -13,16 +13,9 @@ from scipy.spatial import ConvexHull
 from harness.closed_loop import ClosedLoop
 from valor.common import rotation
 from valor.robot.description import RobotDescription
+from valor.robot.polygon import Point, convex_hull, distance_outside
 from valor.whole_body.balance.fall import FallDetector
-from valor.whole_body.balance.support import (
-    Point,
-    convex_hull,
-    corners_on_ground,
-    distance_outside,
-    inner_radius,
-    sole_corners,
-    surely_within,
-)
+from valor.whole_body.balance.support import corners_on_ground, inner_radius, sole_corners, surely_within
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import Tuning
 

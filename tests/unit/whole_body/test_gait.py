@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import mujoco
 import numpy as np
 import pytest
@@ -89,6 +91,10 @@ class Drops:
     def __init__(self, depth: float) -> None:
         """Args: depth: of each [m]."""
         self._depth = depth
+
+    def sized(self, size: float) -> Self:
+        """The same for all."""
+        return self
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add its blocks."""

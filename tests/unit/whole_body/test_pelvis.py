@@ -16,6 +16,7 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
+from valor.common.turns import roll_pitch_yaw
 from valor.motion_manager.handlers.pelvis import PelvisHandler
 from valor.motion_manager.handlers.rejections import Rejections
 from valor.motion_manager.states.behavior_fsm import BehaviorFsm
@@ -27,7 +28,6 @@ from valor.whole_body.balance.pelvis import (
     PelvisReference,
 )
 from valor.whole_body.model.dynamics import ModelJoints
-from valor.whole_body.model.turns import roll_pitch_yaw
 
 
 @pytest.fixture

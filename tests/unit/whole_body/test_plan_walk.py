@@ -6,7 +6,7 @@ import math
 
 from valor.rehearsal.plan_walk import walk_plan
 from valor.robot.description import RobotDescription
-from valor.valorctl.step_plan import PlanStep
+from valor.robot.step_plan import PlanStep
 
 
 def test_the_feet_come_to_stand_where_the_plan_says(robot: RobotDescription) -> None:

@@ -11,7 +11,7 @@ import pytest
 from harness.closed_loop import ClosedLoop, load_robot
 from harness.places import ROBOTS
 from valor.rehearsal.plan_walk import walk_plan
-from valor.valorctl.step_planner import plan_to
+from valor.robot.step_planner import plan_to
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 SPEED = 0.3  # [m/s]

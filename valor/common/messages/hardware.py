@@ -88,6 +88,7 @@ class HdtCommand(Message):
 
     time: int
     sequence: int
+    motor_sequence: int  # of the Motor that it carries; 0: none, the limb stays where it is
     mode: Uint8Array  # JointMode
     position: Float64Array  # [rad]
     velocity: Float64Array  # [rad/s]

@@ -10,6 +10,7 @@ class MotionState(Message):
 
     time: int
     proprioceptor_sequence: int
+    setpoint_sequence: int  # of the JointSetpoints followed last, as its sender counts; 0: none since start
     behavior: str
     locomotion: str
     manipulation: str
@@ -78,7 +79,7 @@ class HandGoalStatus(Message):
     hand: int  # 0 left, 1 right
     state: str  # idle, moving, reached, out_of_reach
     reason: str
-    position_error: float  # of the commanded hand [m]
+    position_error: float  # of the hand as it is estimated [m]
     orientation_error: float  # [rad]
 
 
@@ -151,6 +152,15 @@ class BehaviorReply(Message):
     accepted: bool
     behavior: str
     reason: str
+    obstacle: str  # as ``Obstacle`` names it
+
+
+class ControllerCycle(Message):
+    """The Valor ROS Controller has done a cycle and sent its set-points: a world in lockstep waits for it."""
+
+    time: int  # of the Proprioceptor that it was run for
+    proprioceptor_sequence: int
+    every: int  # a cycle is due at every so many Proprioceptors
 
 
 class Footstep(Message):

@@ -65,3 +65,17 @@ class Statistics(Message):
     memory_mib: float
     drops: int  # messages its queues dropped, since start
     rejected: int  # inputs it refused, since start
+
+
+class MarkRequest(Message):
+    """Note something at this moment of the recording."""
+
+    text: str  # for people; a line
+
+
+class MarkReply(Message):
+    """Whether it stands there, or why not."""
+
+    accepted: bool
+    stamp: int  # of the recorder's wall clock [ns]
+    reason: str

@@ -15,13 +15,15 @@ class GroundTruth(Message):
     com_in_world: Float64Array  # (3,) [m]
     joint_position: Float64Array  # [rad]
     contacts: Uint8Array  # (2,) left, right foot
+    fixture_position: Float64Array  # of the world's joints, in their order: a door's leaf and lever, a wheel [rad]
 
 
 class PushRequest(Message):
-    """Push the chest of the simulated robot."""
+    """Push a body of the simulated robot, at its centre of mass."""
 
     impulse_in_world: Float64Array  # (3,) [N·s]
     duration: float  # [s]
+    body: str = ""  # of the robot's model; empty: the chest
 
 
 class PushReply(Message):
@@ -29,6 +31,23 @@ class PushReply(Message):
 
     accepted: bool
     time: int
+    reason: str
+
+
+class TimeRequest(Message):
+    """Let the simulated robot's time pass otherwise."""
+
+    wanted: str  # pause, resume, step, factor; empty: nothing, how does it pass?
+    value: float  # step: so many control periods, then it is paused; factor: of the wall's time, 0: as fast as it goes
+
+
+class TimeReply(Message):
+    """How it passes now."""
+
+    accepted: bool
+    paused: bool
+    factor: float
+    time: int  # robot time [ns]
     reason: str
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -47,6 +48,10 @@ class Dirt:
     def y(self) -> FloatArray:
         """(ny,) [m]."""
         return np.arange(-self.width / 2, self.width / 2 + self.resolution / 2, self.resolution)
+
+    def sized(self, size: float) -> Self:
+        """Bumps so many times as high."""
+        return replace(self, bump_height=size * self.bump_height)
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add the height field, and marks along it."""

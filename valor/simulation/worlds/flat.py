@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -13,6 +14,10 @@ from valor.simulation.worlds.world import floor
 @dataclass(frozen=True)
 class Flat:
     """A level floor at z = 0."""
+
+    def sized(self, size: float) -> Self:
+        """The same for all."""
+        return self
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add the floor; nothing is random."""

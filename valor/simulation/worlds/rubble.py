@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -26,6 +27,10 @@ class Rubble:
     width: float = 2.4  # [m]
     spacing: float = 0.2  # of the boxes' middles, before they are moved [m]
     sides: tuple[float, float] = (0.12, 0.30)  # shortest and longest [m]
+
+    def sized(self, size: float) -> Self:
+        """Boxes so many times as high."""
+        return replace(self, highest=size * self.highest)
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add floor and boxes."""

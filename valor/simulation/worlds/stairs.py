@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -42,6 +43,10 @@ class Stairs:
         """Where the risers that lead down stand, along x [m]."""
         first = self.up[-1] + self.landing
         return [first + i * self.tread for i in range(self.steps)]
+
+    def sized(self, size: float) -> Self:
+        """The same for all."""
+        return self
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add floor and steps: a box from riser to riser for each height, so that no joint lies under a foot."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import mujoco
 import numpy as np
+
+from valor.common.poses import Pose, level
 
 FRICTION = 0.9
 """Of all ground."""
@@ -17,8 +20,25 @@ FLOOR, DIRT, STONE, EDGE, MARK = "floor", "dirt", "stone", "edge", "mark"
 class World(Protocol):
     """A generator of ground."""
 
+    def sized(self, size: float) -> World:
+        """For a robot whose legs are so many times ESCHER's: what it does not see is so many times as high."""
+
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add its geoms to the world body."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Within which a fixture's place is random: x and y [m], and to how much of either side it is turned [rad]."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    yaw: float
+
+    def draw(self, rng: np.random.Generator) -> Pose:
+        """A frame on the floor."""
+        x, y, yaw = map(float, rng.uniform((self.x[0], self.y[0], -self.yaw), (self.x[1], self.y[1], self.yaw)))
+        return level(x, y, 0.0, yaw)
 
 
 def add_materials(spec: mujoco.MjSpec) -> None:
@@ -52,6 +72,17 @@ def ground(spec: mujoco.MjSpec, **geom: Any) -> mujoco.MjsGeom:
 def decoration(spec: mujoco.MjSpec, **geom: Any) -> mujoco.MjsGeom:
     """Add a geom that is only seen."""
     return spec.worldbody.add_geom(contype=0, conaffinity=0, **geom)
+
+
+def moving(
+    parent: mujoco.MjsBody, name: str, pose: Pose, axis: tuple[float, float, float], reach: float | None = None
+) -> mujoco.MjsBody:
+    """Add a body on a hinge at its origin, of the same name, that turns from 0 to ``reach`` [rad]; None: on and on."""
+    body = parent.add_body(name=name, pos=pose.position, quat=pose.orientation)
+    joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+    if reach is not None:
+        joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, (0.0, reach)
+    return body
 
 
 def floor(spec: mujoco.MjSpec, height: float = 0.0) -> None:

@@ -8,32 +8,50 @@ go with the arm as far as the feet allow.
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from valor.analysis import hand_goals
 from valor.analysis.bag import Bag
 from valor.analysis.end_effector import HandTrack
+from valor.analysis.hand_goals import Arrival
 from valor.analysis.recording import Recording
 from valor.analysis.results import Measure, Table
 from valor.common.arrays import FloatArray
-from valor.valorctl.experiments import arm_session, robot_variant
+from valor.common.topics import (
+    GROUND_TRUTH,
+    HAND_GOAL,
+    HAND_GOAL_STATUS,
+    JOINT_SETPOINTS,
+    MOTION_STATE,
+    PROPRIOCEPTOR,
+)
+from valor.valorctl.experiments import arm_session, arrivals, robot_variant
+from valor.valorctl.experiments.arbitrary_goals import HAND, SIDE
 from valor.valorctl.experiments.experiment import Run
 
-THESIS = {"whole_body": {"com_shift_limit": 0.0}}  # the center of mass stays, whatever the arms do
+READ = (PROPRIOCEPTOR, MOTION_STATE, JOINT_SETPOINTS, GROUND_TRUTH, HAND_GOAL, HAND_GOAL_STATUS)
+# The center of mass stays, whatever the arms do.
+THESIS: dict[str, dict[str, Any]] = {"whole_body": {"com_shift_limit": 0.0}, **arm_session.UNCOMPENSATED}
 
 
 def run(run: Run) -> None:
     """Move the right arm through predefined configurations: the thesis' way, with its arms, and our own way."""
-    from valor.analysis import end_effector_plots as plots
-
     folder = robot_variant.make(run.options.robot, THESIS, run.out / f"{Path(run.options.robot).name}_thesis")
-    kept, recording = _session(run, run.out / "end_effector.mcap", folder)
-    ours, _ = _session(run, run.out / "end_effector_compensated.mcap", None)
     profile = arm_session.real_arms(run)
-    real = _session(run, run.out / "end_effector_real_arms.mcap", folder, profile) if profile else None
+    sessions = {
+        arrivals.KEPT: _session(run, run.out / "end_effector.mcap", folder, "postures"),
+        arrivals.OURS: _session(run, run.out / "end_effector_compensated.mcap", None, "poses"),
+    }
+    if profile:
+        sessions[arrivals.REAL] = _session(run, run.out / "end_effector_real_arms.mcap", folder, "postures", profile)
+    kept, ours = sessions[arrivals.KEPT].track, sessions[arrivals.OURS].track
+    real = sessions.get(arrivals.REAL)
     run.text = (
-        f"The right arm goes through the configurations {', '.join(dict.fromkeys(m.name for m in kept.motions))} in "
+        f"The right arm goes through the configurations {', '.join(_names(kept))} in "
         f"control mode {arm_session.MODE}. Poses are of the gripper's frame, by forward kinematics. Fixed base: the "
         "torso is taken to stay, as clients do. Floating base: it is where the estimator says. As in the thesis, the "
         "Whole-Body Controller keeps the center of mass where it is (com_shift_limit 0), and nothing compensates for "
@@ -43,17 +61,29 @@ def run(run: Run) -> None:
         run.text += (
             f" A third one has the thesis' way with the arms as they were (actuators {profile}): harmonic drives with "
             "friction, 7 cm of play at the gripper of the stretched arm, no gravity compensation, and a right wrist "
-            "yaw that hardly turns."
+            "yaw that hardly turns. Nothing makes up for these (arm_servos: compensation false)."
         )
     run.tables += [_table("As in the thesis: at rest after each motion [cm]", kept),
                    _table("This system's own way [cm]", ours)]  # fmt: skip
     if real:
-        run.tables.append(_table("As in the thesis, with the real robot's arms [cm]", real[0]))
-    _measure(run, kept, ours, real[0] if real else None)
+        run.tables.append(_table("As in the thesis, with the real robot's arms [cm]", real.track))
+    _measure(run, kept, ours, real.track if real else None)
+    arrivals.tell(run, {way: each.arrivals for way, each in sessions.items()},
+                  {way: each.refused for way, each in sessions.items()})  # fmt: skip
     run.files += [_write_csv(kept, run.out / "end_effector.csv"),
                   _write_csv(ours, run.out / "end_effector_compensated.csv")]  # fmt: skip
     if real:
-        run.files.append(_write_csv(real[0], run.out / "end_effector_real_arms.csv"))
+        run.files.append(_write_csv(real.track, run.out / "end_effector_real_arms.csv"))
+    _draw(run, sessions[arrivals.KEPT], ours)
+    if real:
+        _draw_real(run, real)
+
+
+def _draw(run: Run, session: _Session, ours: HandTrack) -> None:
+    """Figures 5.7 to 5.12."""
+    from valor.analysis import end_effector_plots as plots
+
+    kept = session.track
     run.progress.waiting("drawing")
     for error, name, title, subtitle, figure in (
         (kept.command_error, "command", "What the VRC still has to go", "its set-points from the goal, fixed base",
@@ -65,24 +95,25 @@ def run(run: Run) -> None:
     ):  # fmt: skip
         made = plots.errors(kept, error, title, subtitle, run.out / f"end_effector_{name}.png")
         run.picture([made], f"{title}: {subtitle}.", figure)
-    run.picture([plots.base(kept, run.out / "end_effector_base.png")],
-                "The hand's pose with the base where it is, from that with the base where it was.",
-                "Figure 5.12")  # fmt: skip
-    run.picture([plots.base(ours, run.out / "end_effector_base_compensated.png")],
-                "The same where the center of mass goes with the arm.")  # fmt: skip
+    run.picture([plots.base(kept, ours, run.out / "end_effector_base.png")],
+                "The hand's pose with the base where it is, from that with the base where it was; and the same where "
+                "the center of mass goes with the arm.", "Figure 5.12")  # fmt: skip
     run.picture([plots.torso(kept, run.out / "end_effector_torso.png")], "The torso's motion.")
-    names = list(dict.fromkeys(motion.name for motion in kept.motions))
-    run.picture([plots.poses(recording, kept, names, run.out / "end_effector_poses.png")],
+    run.picture([plots.poses(session.recording, kept, _names(kept), run.out / "end_effector_poses.png")],
                 "The robot at rest at each pose.", "Figures 5.7, 5.10")  # fmt: skip
-    if real:
-        _draw_real(run, *real, names)
 
 
-def _draw_real(run: Run, track: HandTrack, recording: Recording, names: list[str]) -> None:
+def _names(track: HandTrack) -> list[str]:
+    """Of the presets, each once."""
+    return list(dict.fromkeys(motion.name for motion in track.motions))
+
+
+def _draw_real(run: Run, session: _Session) -> None:
     """Figures 5.13 to 5.15."""
     from valor.analysis import end_effector_plots as plots
 
-    run.picture([plots.poses(recording, track, names, run.out / "real_arms_poses.png")],
+    track = session.track
+    run.picture([plots.poses(session.recording, track, _names(track), run.out / "real_arms_poses.png")],
                 "The robot at rest at each pose, with the real robot's arms.", "Figure 5.13")  # fmt: skip
     made = plots.errors(track, track.tracking_error, "How the real robot's arms follow the VRC",
                         "measured from its set-points, fixed base", run.out / "real_arms_tracking.png")  # fmt: skip
@@ -91,12 +122,31 @@ def _draw_real(run: Run, track: HandTrack, recording: Recording, names: list[str
                 "How far the hand is from its goal, and the floating base's part of it.", "Figure 5.15")  # fmt: skip
 
 
-def _session(run: Run, bag: Path, robot: Path | None, actuators: str | None = None) -> tuple[HandTrack, Recording]:
+@dataclass(frozen=True)
+class _Session:
+    """The hand in one system: to the presets, and to the arbitrary goals."""
+
+    track: HandTrack
+    recording: Recording
+    arrivals: list[Arrival]
+    refused: list[str]
+
+
+def _session(
+    run: Run, bag: Path, folder: Path | None, goals: arm_session.Goals, actuators: str | None = None
+) -> _Session:
     """Record the motions, and compute the hand's poses."""
-    timeline, description = arm_session.record(run, bag, robot, actuators)
+    session = arm_session.record(run, bag, folder, actuators, goals)
     run.progress.waiting("computing the hand's poses")
-    recording = Recording(Bag(bag), description)
-    return HandTrack.of(recording, timeline, "right"), recording
+    recording = Recording(Bag(bag), session.robot)
+    recording.load(*(topic for topic in READ if recording.has(topic)))  # in one pass: it is long
+    track = HandTrack.of(recording, session.presets, SIDE)
+    there: list[Arrival] = []
+    if session.arbitrary.motions:
+        to_goals = HandTrack.of(recording, session.arbitrary, SIDE)
+        led = goals == "poses"
+        there = hand_goals.led_arrivals(to_goals, recording, HAND) if led else hand_goals.arrivals(to_goals)
+    return _Session(track, recording, there, session.refused)
 
 
 def _table(title: str, track: HandTrack) -> Table:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.common.errors import ValorError
-from valor.common.instance import Instance, Recording, Settings
+from valor.common.instance import ClockMode, Instance, Recording, Settings
 from valor.common.resources import robot_folder
 from valor.robot.description import RobotDescription
 from valor.valorctl import arm_motion, startup
@@ -30,6 +30,9 @@ class Options:
     seed: int = 0
     actuators: str = "hardware"
     robot: str = "escher"
+    profile: str = "sim"
+    clock: ClockMode | None = None  # as the profile has it unless said
+    beside: bool = False  # also measure the processes while others work with the robot
 
 
 @dataclass
@@ -56,7 +59,7 @@ class Run:
     def system(
         self,
         *,
-        profile: str = "sim",
+        profile: str | None = None,
         bag: Path | None = None,
         robot: Path | None = None,
         actuators: str | None = None,
@@ -65,7 +68,7 @@ class Run:
         """A system of the experiment's own that is up inside and down behind, whatever happens.
 
         Args:
-            profile: which processes it has.
+            profile: which processes it has; that of the command line unless given.
             bag: where its recorder writes.
             robot: its folder; the profile's robot unless given.
             actuators: a profile of imperfections; that of the command line unless given.
@@ -73,9 +76,10 @@ class Run:
         """
         if bag is not None:
             bag.unlink(missing_ok=True)  # an earlier run's: the recorder would take another name
+        options = self.options
         request = Request(
-            profile=profile, robot=str(robot or self.options.robot), actuators=actuators or self.options.actuators,
-            seed=self.options.seed, bag=bag, recording=recording or Recording(),
+            profile=profile or options.profile, robot=str(robot or options.robot), clock=options.clock,
+            actuators=actuators or options.actuators, seed=options.seed, bag=bag, recording=recording or Recording(),
         )  # fmt: skip
         with startup.running(self.instance, request, self.progress, self.interruption) as settings:
             self._note({
@@ -130,7 +134,9 @@ class Experiment:
         began = time.monotonic()
         run = Run(instance, options, progress, interruption)
         words = [f"valorctl experiment {self.name}", *(["--quick"] if options.quick else []), f"--seed {options.seed}",
-                 f"--actuators {options.actuators}", f"--robot {options.robot}"]  # fmt: skip
+                 f"--actuators {options.actuators}", f"--robot {options.robot}", f"--profile {options.profile}",
+                 *([f"--clock {options.clock}"] if options.clock else []),
+                 *(["--beside"] if options.beside else [])]  # fmt: skip
         command = " ".join(words)
         try:
             if self.needs:

@@ -38,7 +38,7 @@ def run(run: Run) -> None:
     with run.system(profile="bifrost"):
         for way in _WAYS:
             # Both transports at the same time, so that whatever else the computer does falls alike on both.
-            latencies |= {(way, name): one for name, one in _measure(run, way, count).items()}
+            latencies |= {(way, name): one for name, one in measure(run, way, RATE, count).items()}
     run.text = (
         f"A publisher sends a double that grows, {RATE:.0f} times a second, {count} times, and notes when; a "
         "subscriber notes when each arrives. Both over the loopback interface, Bifrost encrypted (CURVE). Idle cores "
@@ -73,8 +73,21 @@ def run(run: Run) -> None:
                 "Latency of each message over time; the lines are trends.", "Figure 5.1")  # fmt: skip
 
 
-def _measure(run: Run, way: str, count: int) -> dict[str, FloatArray]:
-    """Latencies [s] over each transport."""
+def measure(run: Run, way: str, rate: float, count: int) -> dict[str, FloatArray]:
+    """Send a double over both transports at the same time, in a system that is up.
+
+    Args:
+        run: the experiment.
+        way: between ``threads`` or ``processes``.
+        rate: of the messages [Hz].
+        count: of them.
+
+    Returns:
+        Latencies [s], by transport.
+
+    Raises:
+        ValorError: hardly any arrived, or the two ends did not finish.
+    """
     environment = os.environ | run.instance.environment()
     # The receiving end is there first; the sending one waits until it has found it.
     roles = ("both",) if way == "threads" else ("receive", "publish")
@@ -85,11 +98,11 @@ def _measure(run: Run, way: str, count: int) -> dict[str, FloatArray]:
             with open(file, "wb") as out:
                 peers.append(
                     subprocess.Popen(
-                        [sys.executable, "-m", ipc_peer.__name__, name, role, str(RATE), str(count)],
+                        [sys.executable, "-m", ipc_peer.__name__, name, role, str(rate), str(count)],
                         env=environment, stdout=out, start_new_session=True,
                     )
                 )  # fmt: skip
-        began, whole = time.monotonic(), count / RATE
+        began, whole = time.monotonic(), count / rate
         with bar(_WAYS[way], whole, "s") as shown:
             while any(peer.poll() is None for peer in peers):
                 run.interruption.check()

@@ -151,6 +151,7 @@ def main(transport: str, role: str, rate: float, count: int) -> int:
             if i >= 0:
                 sent.append((float(i), time.monotonic_ns()))
             link.publish(float(i))
+        link.heard()  # who closes before loses what is still on its way
 
     listener = threading.Thread(target=link.listen, args=(hear, done)) if listens else None
     if listener:

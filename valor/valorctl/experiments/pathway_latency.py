@@ -12,21 +12,16 @@ import numpy as np
 import bifrost
 from valor.analysis import pathway_plots
 from valor.analysis.bag import Bag
-from valor.analysis.pathways import (
-    CONTROLLER,
-    JOINT_STATES,
-    MODE_COMMAND,
-    MODE_REPORT,
-    REFERENCE,
-    VEC,
-    Latencies,
-    Segment,
-)
+from valor.analysis.conversions import Conversion, conversions
+from valor.analysis.pathway_taps import ARM, CONTROLLER, MODE_COMMAND, MODE_REPORT, REFERENCE, TOPICS
+from valor.analysis.pathways import Latencies, Segment
 from valor.analysis.results import Measure, Table
+from valor.common.arrays import FloatArray
 from valor.common.behaviors import ControlMode
 from valor.common.instance import Recording
-from valor.common.topics import JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR
+from valor.common.topics import PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
+from valor.valorctl.experiments import ipc_latency
 from valor.valorctl.experiments.experiment import Run
 from valor.valorctl.node import join
 
@@ -42,27 +37,34 @@ COMMANDS, QUICK_COMMANDS = 40, 2
 CHANGES, QUICK_CHANGES = 40, 2
 POINTS, INTERVAL = 3, 0.4  # of each motion; between them [s]
 SWING = 0.15  # from where the arm is, at most [rad]
+FLOOR_RATE = 50.0  # of the doubles that the floor is measured with [Hz]
+DOUBLES, QUICK_DOUBLES = 1000, 25
 REST = 0.7  # between two motions or mode changes [robot time, s]
 PATIENCE = 20.0  # [s]
-TOPICS = (
-    *(f"/bifrost/{topic.name}" for topic in (PROPRIOCEPTOR, MOTOR, MOTION_STATE, JOINT_SETPOINTS)),
-    REFERENCE, VEC, JOINT_STATES, MODE_COMMAND, MODE_REPORT,
-)  # fmt: skip
 _THESIS = {"mode change": "49", "proprioception": "40", "joint command": "335"}
 _WHY = {
     "mode change": "the same messages; each wakes who waits for it, where threads slept between two looks there",
     "proprioception": "the same conversion; each Proprioceptor wakes the VRC, whose threads slept between looks there",
     "joint command": "most of it was the real Motion System's and the arm's; simulated servos answer within tens of ms",
 }
+_TRANSPORTS = {"ros": "ROS 2", "bifrost": "Bifrost"}
 _NOTES = {
-    "Reference → VEC": "by stamps; the VRC updates at 250 Hz",
-    "VEC → MSetpoint": "by stamps; the whole update of the VRC is in it",
-    "VEC → Motor": "by cross-correlation; the Motion System extrapolates set-points, so that hardly a delay is left",
-    "Motor → HDT Cmd.": "by stamps: Proprioceptor says which Motor is obeyed; a control period, and the plant's delay",
-    "HDT Cmd. → Prop.": "by cross-correlation; below zero where feed-forward is a period ahead of the set-point",
-    "Prop. → JS": "by stamps; no polling: the VRC is woken by what comes",
-    "Mode change cmd.": "by stamps, to the first MotionState of the new behavior",
-    "Mode change reported": "by stamps, from that MotionState to the VRC's report",
+    "Reference → VEC": "to the Proprioceptor that the first moving control values answer; the VRC updates at 250 Hz",
+    "VEC → MSetpoint": "JointSetpoints name that Proprioceptor's time; the whole update of the VRC is in it",
+    "VEC → Motor": "MotionState names the set-points that its Motor follows",
+    "Prop. → JS": "joint states name the Proprioceptor's time; the VRC is woken by what comes",
+    "Mode change cmd.": "to the first MotionState of the new behavior",
+    "Mode change reported": "from that MotionState to the VRC's report",
+}
+_TO_PLANT = {
+    True: {
+        "Motor → HDT Cmd.": "HdtCommand names the Motor that it carries; each limb has a cycle of its own",
+        "HDT Cmd. → Prop.": "HdtState names the command that acted; its positions are found in Proprioceptor",
+    },
+    False: {
+        "Motor → HDT Cmd.": "no driver: until the period in which Proprioceptor says that the Motor is in force",
+        "HDT Cmd. → Prop.": "that period, at whose end is measured",
+    },
 }
 
 
@@ -70,19 +72,25 @@ def run(run: Run) -> None:
     """Command motions and mode changes, with the plant as the model has it and with the profile's imperfections."""
     profiles = [run.options.actuators] if run.options.quick else list(dict.fromkeys(["ideal", run.options.actuators]))
     found: dict[str, Latencies] = {}
+    bounds: dict[str, list[Conversion]] = {}
     for profile in profiles:
         bag = run.out / f"pathway_latency_{profile}.mcap"
-        robot = _record(run, bag, profile)
+        robot, floors = _record(run, bag, profile)
         run.progress.waiting("computing latencies")
         found[profile] = Latencies.of(Bag(bag), robot)
+        bounds[profile] = conversions(found[profile], floors)
         run.files.append(bag)
     run.text = (
         f"The right arm is given {QUICK_COMMANDS if run.options.quick else COMMANDS} short trajectories of "
         f"{POINTS} random points each as JointTrajectory messages, and the VRC "
         f"{QUICK_CHANGES if run.options.quick else CHANGES} mode changes between {MODES[0]} and {MODES[1]}, all over "
         "ROS topics; latencies are computed from the bag alone. Each is from when a message was sent to when the next "
-        "of the pathway was: by their stamps where they name one another, else by the shift of the largest "
-        "cross-correlation of the joints' positions, one a motion and joint."
+        "of the pathway was, by the stamps of messages that name one another. Beside it is the thesis' method: the "
+        "shift of the largest cross-correlation of the joints' positions, one a motion and joint. It tells how far a "
+        "signal is behind, not how old what it was made of is: set-points are extrapolated to when they act, and "
+        "joints are led by feed-forward, so that it can be less than the messages took, even below zero. What a "
+        "conversion costs is at most the segment less what the transport takes at least that its first message came "
+        f"by: doubles from process to process, {FLOOR_RATE:.0f} a second, in the same system after the last motion."
     )
     if len(profiles) > 1:
         run.text += (
@@ -90,13 +98,18 @@ def run(run: Run) -> None:
             f"({profiles[-1]})."
         )
     for profile, latencies in found.items():
-        run.tables.append(_table(profile, latencies))
+        run.tables += [_table(profile, latencies), _first(profile, latencies), _bounds(profile, bounds[profile])]
     for profile, latencies in found.items():
         for pathway in latencies.pathways:
             run.measures.append(
                 Measure(f"{pathway.name}, {profile}", _ms(pathway.mean), "ms", _THESIS[pathway.name],
                         f"{1e3 * pathway.median:.1f} by medians; {_WHY[pathway.name]}")
             )  # fmt: skip
+        told = next(each for each in bounds[profile] if each.segment.name == "Prop. → JS")
+        run.measures.append(
+            Measure(f"conversion of states at most, {profile}", _ms(told.median), "ms", "39.8",
+                    "the median less the quickest of Bifrost's doubles in the same run")
+        )  # fmt: skip
     run.files.append(_write_csv(found, run.out / "pathway_latency.csv"))
     run.picture([pathway_plots.bars(found, run.out / "pathway_latency_segments.png")],
                 "Mean latency of each segment; the lines are one standard deviation.", "Figure 5.2")  # fmt: skip
@@ -109,8 +122,12 @@ def run(run: Run) -> None:
 # --- the live part --------------------------------------------------------------------------------------------------
 
 
-def _record(run: Run, bag: Path, profile: str) -> RobotDescription:
-    """Bring a system up, command it, take it down; the bag is complete then."""
+def _record(run: Run, bag: Path, profile: str) -> tuple[RobotDescription, dict[str, FloatArray]]:
+    """Bring a system up, command it, take it down; the bag is complete then.
+
+    Returns:
+        The robot, and what a double takes in that system over either transport [s].
+    """
     from trajectory_msgs.msg import JointTrajectory
     from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
@@ -137,7 +154,7 @@ def _record(run: Run, bag: Path, profile: str) -> RobotDescription:
                 ros.wait(lambda mode=mode: mode in told, PATIENCE, f"control mode {mode} is not reported")  # type: ignore[misc]
                 time_passes.rest(REST)
             run.progress.done(f"{profile}: {changes} mode changes")
-            joints = robot.tables.group("right_arm")
+            joints = robot.tables.group(ARM)
             home = np.array([robot.nominal_posture[robot.index[joint]] for joint in joints])
             commands = QUICK_COMMANDS if quick else COMMANDS
             for i in range(commands):
@@ -147,8 +164,9 @@ def _record(run: Run, bag: Path, profile: str) -> RobotDescription:
                 targets = [*(home + rng.uniform(-SWING, SWING, (POINTS - 1, len(joints)))), home]
                 arm.publish(_trajectory(joints, targets))
                 time_passes.rest(POINTS * INTERVAL + REST)
-    run.progress.done(f"{profile}: {commands} motions")
-    return robot
+            run.progress.done(f"{profile}: {commands} motions")
+        floors = ipc_latency.measure(run, "processes", FLOOR_RATE, QUICK_DOUBLES if quick else DOUBLES)
+    return robot, floors
 
 
 def _trajectory(joints: Sequence[str], targets: Sequence[np.typing.NDArray[np.float64]]) -> object:
@@ -198,17 +216,52 @@ def _ms(seconds: float) -> float | None:
 
 
 def _table(profile: str, latencies: Latencies) -> Table:
-    columns = ["segment", "mean", "sd", "median", "samples", "by correlation", "sd", "samples", "how"]
-    return Table(f"Segments, {profile} [ms]", columns, [_row(segment) for segment in latencies.segments])
+    columns = ["segment", "mean", "sd", "median", "samples", "by correlation", "sd", "samples", "by stamps"]
+    notes = _NOTES | _TO_PLANT[latencies.driven]
+    return Table(
+        f"Segments, {profile} [ms]", columns, [_row(segment, notes[segment.name]) for segment in latencies.segments]
+    )
 
 
-def _row(segment: Segment) -> list[str]:
+def _first(profile: str, latencies: Latencies) -> Table:
+    """Why a joint's first milliradian comes later than the messages that it takes."""
+    first = latencies.first
+    messages = latencies["Reference → VEC"].mean + latencies["VEC → Motor"].mean
+    begun = float(first.vec.mean()) if len(first.vec) else float("nan")
+    moved = float(first.motor.mean()) if len(first.motor) else float("nan")
+    seen = float(first.measured.mean()) if len(first.measured) else float("nan")
+    through = latencies["VEC → Motor"].mean
+    rows = [
+        ("VEC", begun, "what is asked begins at rest"),
+        ("Motor", moved, f"{1e3 * messages:.1f} by stamps; the rest is the motion's own beginning, and "
+         f"{1e3 * (moved - begun - through):+.1f}: limits of acceleration (+), lead over the joint's servo (−)"),
+        ("Prop.", seen, "the joint's own servo"),
+    ]  # fmt: skip
+    shown = [[name, "–" if np.isnan(value) else f"{1e3 * value:.2f}", str(len(first.vec)), note]
+             for name, value, note in rows]  # fmt: skip
+    return Table(f"From a reference to a joint's first milliradian, {profile} [ms]",
+                 ["in", "mean", "samples", "why"], shown)  # fmt: skip
+
+
+def _bounds(profile: str, found: Sequence[Conversion]) -> Table:
+    """What the conversions cost."""
+    rows = [
+        [each.segment.name, _TRANSPORTS[each.transport],
+         *(f"{1e3 * value:.2f}" for value in (each.segment.mean, each.least, each.mean, each.median)),
+         f"{1e3 * float(np.median(each.floor)):.2f}"]
+        for each in found
+    ]  # fmt: skip
+    columns = ["segment", "comes over", "mean", "a double at least", "less it", "median less it", "a double's median"]
+    return Table(f"What conversions cost at most, {profile} [ms]", columns, rows)
+
+
+def _row(segment: Segment, note: str) -> list[str]:
     row = [segment.name]
-    for samples, has_median in ((segment.samples, True), (segment.by_correlation, False)):
+    for samples, has_median in ((segment.by_stamps, True), (segment.by_correlation, False)):
         values = [samples.mean(), samples.std(), np.median(samples)] if len(samples) else []
         shown = [f"{1e3 * value:.2f}" for value in (values if has_median else values[:2])]
         row += (shown or ["–"] * (3 if has_median else 2)) + [str(len(samples))]
-    return [*row, _NOTES[segment.name]]
+    return [*row, note]
 
 
 def _write_csv(found: Mapping[str, Latencies], file: Path) -> Path:

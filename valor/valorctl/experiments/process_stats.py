@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from valor.analysis.process_statistics import Sampler, Usage, plot, write_csv
 from valor.analysis.results import Measure, Table
 from valor.common.topics import CONTROL_MODE, PROPRIOCEPTOR, STATISTICS, Topic
 from valor.valorctl.console import bar
+from valor.valorctl.experiments import beside
 from valor.valorctl.experiments.experiment import Run
 from valor.valorctl.node import hear, join
 from valor.valorctl.supervision import Supervisor
@@ -21,37 +24,41 @@ PATIENCE = 10.0  # with a process that should speak [s]
 _VRC = "valor_ros_controller"
 
 
+@dataclass(frozen=True)
+class _Stood:
+    """The robot for a while.
+
+    Attributes:
+        usage: by process.
+        behaviors: moments on the axis of the looks [s], and the behavior at each.
+        pace: robot time against the wall's.
+        dropped: messages that the recorder dropped since it began.
+    """
+
+    usage: dict[str, Usage]
+    behaviors: list[tuple[float, str]]
+    pace: float
+    dropped: int
+
+
 def run(run: Run) -> None:
     """Stand for five minutes, and look at every process twice a second."""
     seconds = QUICK if run.options.quick else SECONDS
     bag = run.out / "process_stats.mcap"
-    behaviors: list[tuple[float, str]] = []
-    with run.system(bag=bag), join(run.instance, "experiment") as node:
-        reports = CONTROL_MODE.subscriber(node, queue=1000)
-        sampler = Sampler({name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid})
-        began, robot_time = time.monotonic(), _robot_time(run)
-        with bar("standing", seconds, "s") as shown:
-            while (elapsed := time.monotonic() - began) < seconds:
-                time.sleep(max(0.0, PERIOD - elapsed % PERIOD))
-                sampler.look()
-                behaviors += [(1e-9 * each.stamp - sampler.began, each.message.behavior) for each in reports.drain()]
-                shown(elapsed)
-                run.interruption.check()
-        pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
-        dropped = _hear(run, STATISTICS["bag_recorder"]).drops
-    usage = sampler.usage()
+    accompanied: _Stood | None = None
+    with run.system(bag=bag):
+        pids = {name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid}
+        alone = _stand(run, pids, seconds)
+        if run.options.beside:
+            with beside.working(run) as others:
+                accompanied = _stand(run, pids | others, seconds)
+    usage = alone.usage
     run.text = (
         f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
         f"system running and the recorder recording all. Each process is looked at every {PERIOD:g} s. Percentages "
         "are of one core, as top counts."
     )
-    run.tables.append(
-        Table(
-            "Processor [% of one core] and memory [MiB]",
-            ["process", "mean", "sd", "max", "min", "memory mean", "memory max"],
-            [_row(name, one) for name, one in usage.items()],
-        )
-    )
+    run.tables.append(_table("", usage))
     vrc = usage[_VRC]
     run.measures += [
         Measure("VRC processor, mean", float(vrc.cpu.mean()), "% of one core", "36 simulation, 53 hardware",
@@ -68,17 +75,60 @@ def run(run: Run) -> None:
                 float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
                 "over 150", "a core and a half there; the Comms Manager's part simulates the robot here, and spoke to "
                 "devices there"),
-        Measure("robot time against the wall's", pace, "", "", "below 1 on a computer too busy for the simulation: "
-                "percentages are as much lower"),
+        Measure("robot time against the wall's", alone.pace, "", "", "below 1 on a computer too busy for the "
+                "simulation: percentages are as much lower"),
         Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",
                 "every message of every topic, at the control rate"),
-        Measure("recorder, messages dropped", float(dropped), "", "", "of all topics, since it began"),
+        Measure("recorder, messages dropped", float(alone.dropped), "", "", "of all topics, since it began"),
         Measure("whole system, mean", float(np.sum([one.cpu.mean() for one in usage.values()])), "% of one core"),
     ]  # fmt: skip
+    if accompanied is not None:
+        _tell(run, accompanied)
     run.files += [bag, write_csv(usage, run.out / "process_stats.csv")]
-    behavior = (np.array([at for at, _ in behaviors]), np.array([name for _, name in behaviors]))
+    behavior = (np.array([at for at, _ in alone.behaviors]), np.array([name for _, name in alone.behaviors]))
     run.picture([plot(usage, behavior, run.out / "process_stats.png")],
                 "Processor and memory of every process over time; below, what the Motion System did.")  # fmt: skip
+
+
+def _tell(run: Run, stood: _Stood) -> None:
+    """Table 5.1 once more, while others work with the robot."""
+    run.text += (
+        " Then as long again with an operator's client, which hears joints, transforms, forces and states at their "
+        "full rate, and a planner of an arm's ways and of steps, which hears the joints, beside it."
+    )
+    run.tables.append(_table(", with an operator's client and a planner", stood.usage))
+    run.measures += [
+        Measure("VRC processor, mean, with others", float(stood.usage[_VRC].cpu.mean()), "% of one core",
+                "36 simulation, 53 hardware", "an operator's client and a planner beside it, and the recorder"),
+        Measure("robot time against the wall's, with others", stood.pace, "", "", "likewise"),
+        Measure("recorder, messages dropped, with others", float(stood.dropped), "", "", "of all topics, likewise"),
+    ]  # fmt: skip
+    run.files.append(write_csv(stood.usage, run.out / "process_stats_beside.csv"))
+
+
+def _stand(run: Run, pids: Mapping[str, int], seconds: float) -> _Stood:
+    """Look at processes for a while."""
+    behaviors: list[tuple[float, str]] = []
+    with join(run.instance, "experiment") as node:
+        reports = CONTROL_MODE.subscriber(node, queue=1000)
+        sampler = Sampler(pids)
+        began, robot_time = time.monotonic(), _robot_time(run)
+        with bar("standing", seconds, "s") as shown:
+            while (elapsed := time.monotonic() - began) < seconds:
+                time.sleep(max(0.0, PERIOD - elapsed % PERIOD))
+                sampler.look()
+                behaviors += [(1e-9 * each.stamp - sampler.began, each.message.behavior) for each in reports.drain()]
+                shown(elapsed)
+                run.interruption.check()
+        pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
+        dropped = _hear(run, STATISTICS["bag_recorder"]).drops
+    return _Stood(sampler.usage(), behaviors, pace, dropped)
+
+
+def _table(suffix: str, usage: Mapping[str, Usage]) -> Table:
+    columns = ["process", "mean", "sd", "max", "min", "memory mean", "memory max"]
+    title = f"Processor [% of one core] and memory [MiB]{suffix}"
+    return Table(title, columns, [_row(name, one) for name, one in usage.items()])
 
 
 def _hear(run: Run, topic: Topic[Any]) -> Any:

@@ -13,7 +13,7 @@ from valor.analysis.joint_signals import JointSignals, Quantity, draw, neck
 from valor.analysis.recording import Recording
 from valor.analysis.results import Measure, Table
 from valor.analysis.timeline import Timeline
-from valor.valorctl.experiments import arm_session
+from valor.valorctl.experiments import arm_session, robot_variant
 from valor.valorctl.experiments.experiment import Run
 
 
@@ -40,10 +40,12 @@ def run(run: Run) -> None:
     ]  # fmt: skip
     profile = None if run.options.quick else arm_session.real_arms(run)
     if profile:
-        _, real, timeline = _session(run, "real_arms", ", with the real robot's arms", profile)
+        name = f"{Path(run.options.robot).name}_uncompensated"
+        folder = robot_variant.make(run.options.robot, arm_session.UNCOMPENSATED, run.out / name)
+        _, real, timeline = _session(run, "real_arms", ", with the real robot's arms", profile, folder)
         run.text += (
             f" A second time with the arms as they were (actuators {profile}): friction, play, no gravity "
-            "compensation, and a right wrist yaw that hardly turns, whatever its command."
+            "compensation, and a right wrist yaw that hardly turns, whatever its command; nothing makes up for these."
         )
         *others, wrist = (abs(one.final_error(timeline)) for one in real)
         run.measures += [
@@ -55,11 +57,12 @@ def run(run: Run) -> None:
 
 
 def _session(
-    run: Run, name: str, suffix: str, actuators: str | None
+    run: Run, name: str, suffix: str, actuators: str | None, folder: Path | None = None
 ) -> tuple[JointSignals | None, list[JointSignals], Timeline]:
     """Record the motions; leave figures and CSV. Returns signals of neck yaw, if any, and arm, and what was asked."""
     bag = run.out / f"{name}.mcap"
-    timeline, robot = arm_session.record(run, bag, actuators=actuators)
+    session = arm_session.record(run, bag, folder, actuators)
+    timeline, robot = session.presets, session.robot
     run.progress.waiting("reading the joints' signals")
     recording = Recording(Bag(bag), robot)
     yaw = robot.tables.group(arm_session.NECK)[:1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,6 +88,15 @@ def snap(json: Json = False) -> None:
         say_json({"file": reply.path, "messages": reply.messages, "seconds": reply.seconds})
     else:
         say(f"{reply.path}: {reply.seconds:.1f} s, {reply.messages} messages")
+
+
+@bag.command()
+def mark(text: Annotated[str, typer.Argument(help="A line.")]) -> None:
+    """Note this moment in the recording, as an event of its metadata."""
+    from valor.valorctl import presence, requests
+
+    reply = requests.mark(presence.require_running(), text)
+    say(f"marked at {datetime.fromtimestamp(reply.stamp * 1e-9):%H:%M:%S.%f}")
 
 
 @bag.command()

@@ -13,7 +13,7 @@ from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
 from valor.valorctl import completion
 from valor.valorctl.console import complain, progress, rich_console, say, table
-from valor.valorctl.verbs.options import Robot
+from valor.valorctl.verbs.options import OptionalClock, Profile, Robot
 
 if TYPE_CHECKING:
     from valor.analysis.results import Result
@@ -49,6 +49,11 @@ def experiment(
     seed: Annotated[int, typer.Option(min=0, help="Of all that is random in the simulation.")] = 0,
     robot: Robot = "escher",
     actuators: Annotated[str, typer.Option(help="The robot's profile of imperfections: ideal, hardware.")] = "hardware",
+    profile: Profile = "sim",
+    clock: OptionalClock = None,
+    beside: Annotated[
+        bool, typer.Option("--beside", help="process-stats: once more with an operator's client and a planner.")
+    ] = False,
 ) -> None:
     """Repeat an experiment of the thesis, or all and their report, in a system of its own."""
     from valor.valorctl.experiments.experiment import Options
@@ -63,16 +68,19 @@ def experiment(
         rich_console().print(listed)
         return
     require_one_of("experiment", name, (*BY_NAME, ALL))
+    if beside and name not in (ALL, "process-stats"):
+        raise ValorError(f"experiment {name}: --beside is of process-stats, and of {ALL}")
     folder = out.expanduser().absolute()
     instance = Instance.from_environment(os.environ.get("VALOR_INSTANCE") or INSTANCE)
+    out = folder if name == ALL else folder / name
+    options = Options(out, quick, seed, actuators, robot, profile, clock, beside)
     with progress() as shown, Interruption() as interruption:
         if name != ALL:
-            options = Options(folder / name, quick, seed, actuators, robot)
             result, file = BY_NAME[name].perform(instance, options, shown, interruption)
             _show(result)
             shown.done(str(file))
             return
-        perform_all(instance, Options(folder, quick, seed, actuators, robot), shown, interruption, _show)
+        perform_all(instance, options, shown, interruption, _show)
         _report(folder, folder / REPORT)
 
 

@@ -12,7 +12,7 @@ from valor.common.instance import Instance
 from valor.valorctl import completion
 from valor.valorctl.console import progress, say, say_json, say_rows
 from valor.valorctl.interruption import Interruption
-from valor.valorctl.verbs.options import Json
+from valor.valorctl.verbs.options import Json, Video
 
 if TYPE_CHECKING:
     from valor.valorctl.walking import Walk
@@ -36,6 +36,7 @@ def register(app: typer.Typer) -> None:
     app.command()(hand)
     app.command()(walk)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
+    app.command("time")(simulated_time)
     app.command(name="get-up")(get_up)
 
 
@@ -46,9 +47,10 @@ def stop(
     json: Json = False,
 ) -> None:
     """Stop the robot, by every path there is: it keeps its balance where it has one, else its joints are locked."""
+    from valor.common.stopping import HALT, LOCK
     from valor.valorctl import stopping
 
-    stopping.run(Instance.from_environment(), stopping.LOCK if freeze else stopping.HALT, json)
+    stopping.run(Instance.from_environment(), LOCK if freeze else HALT, json)
 
 
 def mode(
@@ -56,7 +58,8 @@ def mode(
     json: Json = False,
 ) -> None:
     """Show the control mode, or change it."""
-    from valor.valorctl import control_mode, mode_names, presence
+    from valor.common import mode_names
+    from valor.valorctl import control_mode, presence
 
     instance = presence.require_running()
     if name is None:
@@ -98,6 +101,7 @@ def mode(
 
 
 Side = Literal["left", "right"]
+TimeWord = Literal["pause", "resume", "step", "factor"]
 Speed = Annotated[float, typer.Option(min=0.01, max=1.0, help="Fraction of the joint speed limits to use at most.")]
 Tolerance = Annotated[float, typer.Option(min=0.0, help="For the final error of each joint [rad].")]
 
@@ -163,16 +167,17 @@ def walk(
         bool, typer.Option("--straight", help="Keep to the line and the heading it starts with.")
     ] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw the way, the balance, the feet's forces.")] = None,
+    video: Video = None,
     json: Json = False,
 ) -> None:
     """Walk at a velocity, stop, and say how far it went."""
-    from valor.valorctl import presence, walking
+    from valor.valorctl import filming, presence, walking
 
     if seconds is None and distance is None:
         seconds = DEFAULT_SECONDS
     order = walking.Order(vx, vy, wz, seconds, distance, straight)
     instance = presence.require_running()
-    with progress() as shown, Interruption() as interruption:
+    with filming.filmed(instance, video, quiet=json), progress() as shown, Interruption() as interruption:
         result = walking.walk(
             instance,
             order,
@@ -223,21 +228,39 @@ def push(
     x: Annotated[float, typer.Argument(help="Forward [N·s], in the world's axes.")],
     y: Annotated[float, typer.Argument(help="To the left [N·s].")],
     z: Annotated[float, typer.Argument(help="Up [N·s].")],
+    body: Annotated[str, typer.Option(help="Of the robot's model; the chest unless given.")] = "",
 ) -> None:
-    """Push the simulated robot's chest for 0.1 s."""
+    """Push the simulated robot for 0.1 s."""
     from valor.valorctl import presence, requests
 
     instance = presence.require_running()
-    reply = requests.push(instance, (x, y, z))
+    reply = requests.push(instance, (x, y, z), body)
     say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
 
 
-def get_up(json: Json = False) -> None:
+def simulated_time(
+    wanted: Annotated[TimeWord, typer.Argument(help="What is to become of it.")],
+    value: Annotated[
+        float, typer.Argument(help="step: control periods; factor: of the wall's time, 0 as fast as it goes.")
+    ] = 1.0,
+) -> None:
+    """Pause a simulated robot's time, let it go on or make single steps, or slow it down."""
+    from valor.valorctl import presence, requests
+
+    reply = requests.simulated_time(presence.require_running(), wanted, value)
+    say(f"{'paused' if reply.paused else 'passing'} at {reply.time * 1e-9:.3f} s, factor {reply.factor:g}")
+
+
+def get_up(*, video: Video = None, json: Json = False) -> None:
     """Get up after a fall; the robot ends in stand_prep."""
-    from valor.valorctl import getting_up, presence
+    from valor.valorctl import filming, getting_up, presence
 
     instance = presence.require_running()
-    with progress() as shown, Interruption() as interruption:
+    with (
+        filming.filmed(instance, video, quiet=json),
+        progress() as shown,
+        Interruption() as interruption,
+    ):
         duration = getting_up.get_up(instance, interruption.check, shown.waiting if json else shown.stage)
     if json:
         say_json({"duration_s": duration})

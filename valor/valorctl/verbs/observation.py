@@ -1,18 +1,24 @@
-"""``status``, ``logs``, ``env``."""
+"""``status``, ``view``, ``logs``, ``env``."""
 
 from __future__ import annotations
 
 import time
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance
+from valor.common.viewing import LOOPBACK
 from valor.valorctl import completion
-from valor.valorctl.console import say, say_json
+from valor.valorctl.console import complain, say, say_json
+from valor.valorctl.verbs.options import OptionalRobot
 
 if TYPE_CHECKING:
+    from valor.valorctl.hosts.logs import HostsLogs
+    from valor.valorctl.log_reader import LogReader
     from valor.valorctl.watch import Watch
 
 WATCH_PERIOD = 1.0  # [s]
@@ -21,6 +27,7 @@ WATCH_PERIOD = 1.0  # [s]
 def register(app: typer.Typer) -> None:
     """Add the verbs."""
     app.command()(status)
+    app.command()(view)
     app.command()(logs)
     app.command()(env)
 
@@ -37,6 +44,36 @@ def status(
         _watch(looking.Watch(instance), json)
     else:
         looking.run(instance, json)
+
+
+def view(
+    bag: Annotated[
+        Path | None, typer.Option(metavar="BAG", help="Show a recording: an .mcap or .db3 file, or a folder of them.")
+    ] = None,
+    robot: OptionalRobot = None,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Of this computer, to be reached there by TLS with a token.")
+    ] = LOOPBACK,
+    certificate: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PEM, certificate and key; a self-made one unless given.")
+    ] = None,
+) -> None:
+    """Serve a page on which a robot is seen and driven, or a recording played, until interrupted."""
+    from valor.valorctl import viewing
+    from valor.valorctl.interruption import InterruptedBySignalError, Interruption
+
+    if robot is not None and bag is None:
+        raise ConfigurationError("--robot: expected with --bag, of a recording that does not name its robot")
+    if bag is not None and (host != LOOPBACK or certificate is not None):
+        raise ConfigurationError("--bag: a recording is shown on this computer alone; expected it without --host")
+    with Interruption() as interruption:
+        try:
+            if bag is not None:
+                viewing.show_recording(bag, robot, interruption.check)
+            else:
+                viewing.serve(Instance.from_environment(), viewing.place(host, certificate), interruption.check, say)
+        except InterruptedBySignalError:
+            say("the page is served no longer" + ("" if bag else "; the robot does what it did"))
 
 
 def _watch(watch: Watch, json: bool) -> None:
@@ -78,10 +115,18 @@ def logs(
 
     begin = moment(since, datetime.now()) if since is not None else None
     count = 20 if lines is None and since is None else lines
-    with LogReader(Instance.from_environment(), service, begin, level.lower(), count) as reader:
+    instance = Instance.from_environment()
+    reading: type[LogReader | HostsLogs] = LogReader
+    if instance.settings_file.exists() and instance.settings().hosts:
+        from valor.valorctl.hosts.logs import HostsLogs
+
+        reading = HostsLogs
+    with reading(instance, service, begin, level.lower(), count) as reader:
         view = LogView(named=service is None)
         found = reader.take()
         view.show(found if count is None else found[max(0, len(found) - count) :])
+        for problem in reader.problems:
+            complain(problem)
         with until_interrupted():
             while follow:
                 view.show(reader.wait())

@@ -47,6 +47,7 @@ def check(
 
     folder = robot_folder(named)
     findings = robot_check.examine(folder)
+    notes = robot_check.notes(findings)
     rungs: list[robot_play.Rung] = []
     if not (no_play or findings.faults):
         with progress() as shown, Interruption() as interruption:
@@ -57,12 +58,15 @@ def check(
                 "robot": str(folder),
                 "faults": [str(fault) for fault in findings.faults],
                 "unchecked": findings.unchecked,
+                "notes": notes,
                 "rungs": msgspec.to_builtins(rungs),
             }
         )
     findings.require_none()
     if not json:
         say(f"{named}: nothing wrong with its folder")
+        for line in notes:
+            say(f"  {line}")
         if rungs:
             rich_console().print(_rungs(rungs))
     if failed := [f"{rung.name} ({rung.profile})" for rung in rungs if not rung.passed]:
@@ -121,6 +125,19 @@ def show(
 
     described = RobotDescription.load(robot_folder(named))
     say(str(robot_picture.draw(described, out or Path(f"{described.name}.png"))))
+
+
+@robot.command()
+def moveit(
+    named: Named,
+    *,
+    out: Annotated[Path | None, typer.Option(help="The package; NAME_moveit_config, here, unless given.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a configuration that is there.")] = False,
+) -> None:
+    """Make a robot's MoveIt configuration, a ROS package: SRDF, limits, controllers, kinematics, URDF and meshes."""
+    from valor.valorctl import moveit_package, robot_check
+
+    moveit_package.make(robot_check.require_sound(robot_folder(named)), out, replace=force)
 
 
 @robot.callback()

@@ -12,7 +12,7 @@ from valor.common.resources import plan_file, plans
 from valor.valorctl import completion
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
-from valor.valorctl.verbs.options import Json
+from valor.valorctl.verbs.options import Json, Video
 
 
 def register(app: typer.Typer) -> None:
@@ -25,23 +25,26 @@ def step(
         str | None,
         typer.Argument(help=f"A plan's file, or one of {', '.join(plans())}.", autocompletion=completion.plans),
     ] = None,
+    *,
     to: Annotated[
         tuple[float, float, float] | None,
         typer.Option("--to", metavar="X Y YAW", help="Where the middle of the feet shall go, in odom [m, m, rad]."),
     ] = None,
     relative: Annotated[bool, typer.Option("--relative", help="--to as seen from where the robot stands.")] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw plan and outcome, from above.")] = None,
+    video: Video = None,
     json: Json = False,
 ) -> None:
     """Take footsteps: those of a plan, or some that lead to a place."""
+    from valor.robot import step_plan
     from valor.robot.description import RobotDescription
-    from valor.valorctl import presence, step_picture, step_plan, stepping
+    from valor.valorctl import filming, presence, step_picture, stepping
 
     if (plan is None) == (to is None):
         raise ValorError("expected a plan, or --to X Y YAW")
     file = step_plan.load(plan_file(plan)) if plan is not None else None
     instance = presence.require_running()
-    with Interruption() as interruption:
+    with filming.filmed(instance, video, quiet=json), Interruption() as interruption:
         if file is not None:
             outcome = stepping.step_plan(instance, file.steps, file.frame, interruption.check)
         else:

@@ -13,14 +13,8 @@ from math import acos, degrees
 
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
-from valor.whole_body.balance.support import (
-    convex_hull,
-    corners_on_ground,
-    distance_outside,
-    inner_radius,
-    sole_corners,
-    surely_within,
-)
+from valor.robot.polygon import convex_hull, distance_outside
+from valor.whole_body.balance.support import corners_on_ground, inner_radius, sole_corners, surely_within
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import Tuning
 

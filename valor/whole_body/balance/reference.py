@@ -15,8 +15,8 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.kernel import Expression, clipped
+from valor.common.turns import turned
 from valor.robot.description import RobotDescription
-from valor.whole_body.model.turns import turned
 from valor.whole_body.tuning_tables import Tuning
 
 

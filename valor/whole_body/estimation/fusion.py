@@ -20,12 +20,12 @@ import numpy as np
 from valor.common import rotation
 from valor.common.kernel import Expression, parts, pieces
 from valor.common.rotation import Quaternion
+from valor.common.turns import roll_pitch_yaw
 from valor.whole_body.estimation import attitude, foot_contact
 from valor.whole_body.estimation.attitude import Attitude
 from valor.whole_body.estimation.foot_contact import FootContact, FootSense, Past
 from valor.whole_body.estimation.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
 from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.model.turns import roll_pitch_yaw
 from valor.whole_body.tasks.centre_of_mass import CentreOfMass
 from valor.whole_body.tuning_tables import Estimator
 

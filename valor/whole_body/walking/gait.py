@@ -18,6 +18,8 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
+from valor.robot.motion_tables import Walking
+from valor.robot.size import ESCHER
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.dcm_plan import DcmPlan
@@ -27,11 +29,11 @@ from valor.whole_body.walking.step_guard import StepGuard
 from valor.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 
 AHEAD = 3  # steps planned
-HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground [m]
+HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground, by ESCHER's leg [m]
 QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon it grows to all of it below that
 SHORTEST_PIECE = 0.01  # of a plan [s]
 FOLLOWED = 1e-3  # moves of a late foot's foothold below it are none [m]
-MOST_LOWERED = 0.12  # the CoM, whatever the step [m]
+MOST_LOWERED = 0.12  # the CoM, whatever the step, by ESCHER's leg [m]
 EARLY = 0.15  # of a swing's duration: a foot that was found in the air may be about to land
 LOWERING = 8.0  # with which it is lowered for a step that goes further than planned [1/s]
 
@@ -68,6 +70,10 @@ class Gait:
         self._landed: int | None = None
         self._sways = True  # before the first step
         self._earliest = 0.0  # of the swing's duration: the foot may have landed
+        size = robot.tables.size.leg / ESCHER.leg
+        self._hips_ahead, self._most_lowered = size * HIPS_AHEAD, size * MOST_LOWERED
+        # Feet that stand farther apart than ESCHER's would are below hips that are so: no leg leans for that.
+        self._wide = max(0.0, self._table.step_width - size * Walking().step_width)
         self._giving = robot.read(Tuning).disturbance.giving
         self._planned_lowering = 0.0  # of the CoM over the stance foot [m]
         self._lower = self._lowered = 0.0  # by how much more it shall be, and is, for a step that was adjusted [m]
@@ -274,11 +280,11 @@ class Gait:
         """
         table = self._table
         x, y, z = map(float, other.position - one.position)
-        away = 0.5 * hypot(x, y) + HIPS_AHEAD
+        away = 0.5 * hypot(x, max(0.0, abs(y) - self._wide)) + self._hips_ahead
         straight = table.leg_reach * table.leg_reach - away * away
         if straight <= 0.0:
-            return MOST_LOWERED
-        return min(MOST_LOWERED, max(0.0, table.hip_height + 0.5 * abs(z) - sqrt(straight)))
+            return self._most_lowered
+        return min(self._most_lowered, max(0.0, table.hip_height + 0.5 * abs(z) - sqrt(straight)))
 
     def _begin_swing(self, state: RobotState, step: Step) -> None:
         table = self._table

@@ -13,12 +13,8 @@ from math import hypot, inf
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT
-from valor.whole_body.balance.support import (
-    convex_hull,
-    corners_on_ground,
-    distance_outside,
-    sole_corners,
-)
+from valor.robot.polygon import convex_hull, distance_outside
+from valor.whole_body.balance.support import corners_on_ground, sole_corners
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.footsteps import Step, beside, side_by_side

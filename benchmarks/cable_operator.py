@@ -1,0 +1,117 @@
+"""An operator's ROS 2 program, told by lines on its standard input what to send. For ``cables``.
+
+    python -m benchmarks.cable_operator HOME INSTANCE
+
+    mode NAME | velocity VX | arm ANGLE SECONDS | hand HEIGHT | steps INDEX COUNT | quit
+
+Each line becomes one message on the topic that programs of others use; ``sent`` is printed once it is on its way.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import PoseStamped, Twist
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from vigir_footstep_planning_msgs.msg import Foot, Step, StepPlan
+from vigir_humanoid_control_msgs.msg import VigirControlModeCommand
+
+from valor.common.instance import Instance
+from valor.robot.description import RobotDescription
+
+ARM = "left_arm"
+HALF_WIDTH = 0.1  # from the middle to a sole [m]: ESCHER's
+HAND = (0.45, 0.3)  # ahead and to the left of the pelvis [m]
+LIMIT = 30.0  # until the robot's side is there [s]
+
+
+class Operator:
+    """A node, and what it sends."""
+
+    def __init__(self, instance: Instance) -> None:
+        os.environ.update(instance.environment())
+        settings = instance.settings()
+        self._arm = list(RobotDescription.load(settings.robot).tables.group(ARM))
+        rclpy.init(domain_id=settings.ros_domain_id)
+        self._node = rclpy.create_node("cable_operator")
+        topics = {
+            "mode": (VigirControlModeCommand, "/flor/controller/mode_command"),
+            "velocity": (Twist, "/cmd_vel"),
+            "arm": (JointTrajectory, f"/trajectory_controllers/{ARM}_traj_controller/joint_trajectory"),
+            "hand": (PoseStamped, "/flor/l_hand/goal_pose"),
+            "steps": (StepPlan, "/robot_controllers/footstep_controller/execute_step_plan"),
+        }
+        self._publishers = {name: self._node.create_publisher(*topic, 10) for name, topic in topics.items()}
+        self._makers: dict[str, Callable[..., Any]] = {
+            "mode": lambda name: VigirControlModeCommand(requested_control_mode=name),
+            "velocity": _velocity,
+            "arm": self._reach,
+            "hand": _hand,
+            "steps": _steps,
+        }
+
+    def known(self) -> bool:
+        """Whether somebody listens to all of it."""
+        return all(each.get_subscription_count() for each in self._publishers.values())
+
+    def send(self, what: str, *arguments: str) -> None:
+        """One message."""
+        self._publishers[what].publish(self._makers[what](*arguments))
+
+    def _reach(self, angle: str, seconds: str) -> JointTrajectory:
+        point = JointTrajectoryPoint(positions=[0.0] * len(self._arm))
+        point.positions[-1] = float(angle)
+        point.positions[3] = -0.6
+        point.time_from_start.sec = int(float(seconds))
+        return JointTrajectory(joint_names=self._arm, points=[point])
+
+
+def _velocity(speed: str) -> Twist:
+    message = Twist()
+    message.linear.x = float(speed)
+    return message
+
+
+def _hand(height: str) -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = "pelvis"
+    message.pose.position.x, message.pose.position.y = HAND
+    message.pose.position.z = float(height)
+    message.pose.orientation.w = 1.0
+    return message
+
+
+def _steps(first: str, count: str) -> StepPlan:
+    plan = StepPlan()
+    plan.header.frame_id = "base_footprint"
+    for index in range(int(count)):
+        step = Step(step_index=int(first) + index, valid=True)
+        left = index % 2 == 0
+        step.foot.foot_index = Foot.LEFT if left else Foot.RIGHT
+        step.foot.pose.position.y = HALF_WIDTH if left else -HALF_WIDTH
+        plan.steps.append(step)
+    return plan
+
+
+def main(home: str, name: str) -> None:
+    """Send until told to quit."""
+    operator = Operator(Instance(name, Path(home)))
+    print("ready", flush=True)
+    for line in sys.stdin:
+        if line.strip() == "quit":
+            break
+        if line.strip() == "known":
+            print(operator.known(), flush=True)
+            continue
+        operator.send(*line.split())
+        print("sent", flush=True)
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,92 @@
+"""Computers that network namespaces stand for, each with a cable to one switch; and clocks that differ."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+NO_COMPUTERS = "no network namespaces with cables between them here"
+
+
+class ComputersError(Exception):
+    """The system makes no network namespaces, or not for us."""
+
+
+class Computers:
+    """Some computers on one switch: 10.76.<network>.1, .2, …, in the order of their names."""
+
+    def __init__(self, names: tuple[str, ...], network: int) -> None:
+        self.addresses = {name: f"10.76.{network}.{place}" for place, name in enumerate(names, 1)}
+        self._prefix = f"valor_{os.getpid()}_{network}"
+        self._switch = f"{self._prefix}_switch"
+        self._port = {name: f"v{os.getpid()}{network}s{place}" for place, name in enumerate(names)}
+
+    def inside(self, name: str, *, ahead: float = 0.0) -> tuple[str, ...]:
+        """What a command is begun with to run on a computer, whose clock since boot may be ahead [s]."""
+        clock = ("unshare", "--time", f"--monotonic={ahead:g}", f"--boottime={ahead:g}") if ahead else ()
+        return ("ip", "netns", "exec", self._name(name), *clock)
+
+    def pull(self, name: str) -> None:
+        """Pull a computer's cable: its own side sees no carrier, and keeps its address."""
+        self._cable(name, "down")
+
+    def plug(self, name: str) -> None:
+        """Put it back."""
+        self._cable(name, "up")
+
+    def _cable(self, name: str, state: str) -> None:
+        _run("ip", "netns", "exec", self._switch, "ip", "link", "set", self._port[name], state)
+
+    def _name(self, computer: str) -> str:
+        return f"{self._prefix}_{computer}"
+
+    def make(self, stack: ExitStack) -> None:
+        """Make them; ``stack`` takes them away.
+
+        Raises:
+            ComputersError: that cannot be done here.
+        """
+        for space in (self._switch, *map(self._name, self.addresses)):
+            _run("ip", "netns", "add", space)
+            stack.callback(subprocess.run, ["ip", "netns", "delete", space], check=False)
+            _run("ip", "-n", space, "link", "set", "lo", "up")
+        _run("ip", "-n", self._switch, "link", "add", "switch", "type", "bridge")
+        _run("ip", "-n", self._switch, "link", "set", "switch", "up")
+        for name, address in self.addresses.items():
+            port, own = self._port[name], f"{self._port[name]}x"
+            _run("ip", "link", "add", port, "netns", self._switch, "type", "veth", "peer", "name", own)
+            _run("ip", "link", "set", own, "netns", self._name(name))
+            _run("ip", "-n", self._switch, "link", "set", port, "master", "switch", "up")
+            _run("ip", "-n", self._name(name), "address", "add", f"{address}/24", "dev", own)
+            _run("ip", "-n", self._name(name), "link", "set", own, "up")
+
+
+@contextmanager
+def computers(*names: str, network: int = 0) -> Iterator[Computers]:
+    """Make computers, and take them away.
+
+    Raises:
+        ComputersError: that cannot be done here.
+    """
+    with ExitStack() as stack:
+        made = Computers(names, network)
+        made.make(stack)
+        yield made
+
+
+def environment(home: Path, instance: str, more: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Of a command on a computer of its own, whose home it is."""
+    own = {k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FAST", "VALOR", "BIFROST"))}
+    return own | {"VALOR_HOME": str(home), "VALOR_INSTANCE": instance} | dict(more or {})
+
+
+def _run(*command: str) -> None:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise ComputersError(f"{NO_COMPUTERS}: {error}") from None
+    if done.returncode:
+        raise ComputersError(f"{NO_COMPUTERS}: {' '.join(command)}: {done.stderr.strip()}")

@@ -1,0 +1,148 @@
+"""An instance on several computers, each a network namespace with a home and an agent of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from harness.computers import Computers, ComputersError, computers, environment
+from harness.system import VALORCTL
+from harness.waiting import wait_until
+from valor.common.instance import Instance
+from valor.valorctl import leftovers
+
+PATIENCE = 240.0  # [s]
+
+
+class Hosts:
+    """The computers of a deployment, and what `valorctl` does on them."""
+
+    def __init__(self, network: Computers, folder: Path, deployment: str, instance: str) -> None:
+        self.network, self.folder, self.instance = network, folder, instance
+        self.file = folder / "trio.yaml"
+        for name, address in network.addresses.items():
+            deployment = deployment.replace(f"@{name}", address)
+        self.file.write_text(deployment)
+        self.ahead = dict.fromkeys(network.addresses, 0.0)  # of each one's clock since boot [s]
+        self._agents: dict[str, subprocess.Popen[bytes]] = {}
+        for name in network.addresses:
+            self.home(name).mkdir()
+
+    def home(self, name: str) -> Path:
+        """Where a computer keeps its instances."""
+        return self.folder / name
+
+    def command(self, name: str, *arguments: str) -> list[str]:
+        """A command as it is run on a computer."""
+        return [*self.network.inside(name, ahead=self.ahead[name]), *arguments]
+
+    def environment(self, name: str) -> dict[str, str]:
+        """Of a command on a computer."""
+        return environment(self.home(name), self.instance)
+
+    def valorctl(self, name: str, *arguments: str, expect: int = 0, timeout: float = PATIENCE) -> str:
+        """Run a verb on a computer; what it said, complaints included."""
+        done = subprocess.run(
+            self.command(name, str(VALORCTL), *arguments),
+            env=self.environment(name),
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+        said = done.stdout + done.stderr
+        assert done.returncode == expect, f"{name}: {' '.join(arguments)}: exit {done.returncode}\n{said}"
+        return said
+
+    def status(self, name: str) -> dict[str, Any]:
+        """``valorctl status --json`` on a computer."""
+        found: dict[str, Any] = json.loads(self.valorctl(name, "status", "--json"))
+        return found
+
+    def states(self, name: str) -> dict[str, str]:
+        """How the processes fare, as a computer sees it."""
+        return {row["name"]: row["state"] for row in self.status(name)["services"]}
+
+    def join(self, name: str, first: str) -> None:
+        """Bring a computer its ticket from the first, and start its agent."""
+        self.valorctl(first, "host", "join", name, "--deployment", str(self.file))
+        self.start_agent(name, f"trio.{name}.ticket")
+
+    def start_agent(self, name: str, ticket: str = "trio", instead: Sequence[tuple[Path, Path]] = ()) -> None:
+        """Start a computer's agent, and wait until it listens; ``instead``: files that it sees at others' places."""
+        mounts = "".join(f"mount --bind {file} {place} && " for file, place in instead)
+        own = ("unshare", "--mount", "sh", "-c", f'{mounts}exec "$@"', "sh") if instead else ()
+        said = self.folder / f"{name}.agent"
+        with open(said, "wb") as out:
+            self._agents[name] = subprocess.Popen(
+                self.command(name, *own, str(VALORCTL), "host", "agent", ticket),
+                env=self.environment(name),
+                cwd=self.folder,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+        wait_until(lambda: "listens" in said.read_text(), 30.0, f"the agent of {name} listens: {said.read_text()}")
+
+    def stop_agent(self, name: str) -> None:
+        """End a computer's agent."""
+        agent = self._agents.pop(name)
+        agent.terminate()
+        agent.wait(30.0)
+
+    def cut_power(self, name: str) -> None:
+        """End a computer's agent and all that runs there at once, as when its power is cut; its files stay."""
+        self._agents[name].kill()
+        self._agents.pop(name).wait()
+        for process in leftovers.processes_of(Instance(self.instance, self.home(name))):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.kill()
+
+    def close(self) -> None:
+        """Everything down, and no agent left."""
+        for name in self.network.addresses:
+            self.network.plug(name)
+        try:
+            here = next(reversed(self._agents), None)
+            if here is not None:
+                self.valorctl(here, "down", "--deployment", str(self.file))
+        finally:
+            for name in list(self._agents):
+                self.stop_agent(name)
+
+
+@contextmanager
+def hosts(folder: Path, deployment: str, instance: str, *names: str, **ahead: float) -> Iterator[Hosts]:
+    """Computers that have joined a deployment, in whose text ``@name`` stands for an address.
+
+    Args:
+        folder: short, for sockets are made in it.
+        deployment: the file's text.
+        instance: name of the instance.
+        names: of the computers; the last is where keys are made.
+        ahead: by how much a computer's clock since boot is ahead [s].
+
+    Raises:
+        ComputersError: there are no such computers to be had here.
+    """
+    if ahead and subprocess.run(["unshare", "--time", "true"], capture_output=True, check=False).returncode:
+        raise ComputersError("no time namespaces here")
+    with computers(*names, network=os.getpid() % 250) as network:
+        made = Hosts(network, folder, deployment, instance)
+        made.ahead |= ahead
+        try:
+            for name in names:
+                made.join(name, names[-1])
+            yield made
+        finally:
+            made.close()

@@ -1,0 +1,207 @@
+"""``/valor/scene``: soles, contact forces, CoM, DCM, CoP and footsteps out of ROS topics, and the simulated world.
+
+The robot itself is its URDF, which Foxglove draws from ``/robot_description`` and ``/tf``. Frames are those of the
+messages. What is not heard of any more is taken away.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import foxglove
+from foxglove.channels import SceneUpdateChannel
+from foxglove.messages import (
+    ArrowPrimitive,
+    CubePrimitive,
+    LinePrimitive,
+    LinePrimitiveLineType,
+    SceneEntity,
+    SceneEntityDeletion,
+    SceneUpdate,
+    SpherePrimitive,
+    TextPrimitive,
+)
+from geometry_msgs.msg import PointStamped, WrenchStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+from vigir_footstep_planning_msgs.msg import Foot as Side
+
+from valor.common.colors import BALANCE, LEFT, RIGHT
+from valor.common.instance import Settings
+from valor.foxglove_bridge.shapes import along, color, of_ros, points, pose, size, stamp
+from valor.robot.description import RobotDescription
+from valor.robot.tables import Foot
+from valor.ros.limbs import FEET, HANDS, WRENCH
+from valor.ros.node import Untouched
+from valor.ros.taking import uncalled, waiting
+
+TOPIC = "/valor/scene"
+PERIOD = 0.1  # [s]
+STALE = 0.5  # after which what was heard is shown no more [s]
+METRES = 1e-3  # of an arrow, for a newton
+LEAST = 1.0  # force that is shown [N]
+
+LIMBS = FEET + HANDS
+
+Make = Callable[[str, Any], SceneEntity]
+
+_FEEDBACK = "robot_controllers/footstep_controller/execute_feedback"
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_CORNERS = (("toe", 1.0), ("heel", 1.0), ("heel", -1.0), ("toe", -1.0))
+
+
+class _Source:
+    """A topic that an entity is made of."""
+
+    def __init__(self, name: str, topic: str, message_type: type, make: Make, qos: QoSProfile | int = 1) -> None:
+        self.name, self._topic, self.type, self.make, self._qos = name, topic, message_type, make, qos
+        self._lasting = isinstance(qos, QoSProfile)  # said once, true until the next word
+        self._subscription: Any = None
+        self._heard = 0.0
+        self._shown = False
+
+    def open(self, node: Any) -> None:
+        """Begin to hear."""
+        self._subscription = node.create_subscription(
+            self.type, self._topic, uncalled, self._qos, callback_group=Untouched()
+        )
+        self._shown = False
+
+    def close(self, node: Any) -> None:
+        """Hear it no more."""
+        node.destroy_subscription(self._subscription)
+
+    def look(self, now: float) -> Any | None:
+        """The newest message, if there is news."""
+        newest = None
+        for message in waiting(self._subscription):
+            newest = message
+        if newest is not None:
+            self._heard, self._shown = now, True
+        return newest
+
+    def gone(self, now: float) -> bool:
+        """Whether it was shown until now, and is to be taken away."""
+        gone = self._shown and not self._lasting and now - self._heard > STALE
+        self._shown = self._shown and not gone
+        return gone
+
+
+class Scene:
+    """The scene, while somebody looks at it."""
+
+    def __init__(self, node: Any, context: foxglove.Context, settings: Settings, robot: RobotDescription) -> None:
+        self._node, self._settings, self._robot = node, settings, robot
+        feet = (robot.tables.feet.left, robot.tables.feet.right)
+        self._channel = SceneUpdateChannel(TOPIC, context=context)
+        self._world_shown = False
+        soles = dict(zip(FEET, feet, strict=True))
+        wrenches = ((limb, WRENCH.format(limb), partial(_contact, foot=soles.get(limb))) for limb in LIMBS)
+        balls = ((name, f"flor/state/{name}", partial(_ball, rgb=rgb)) for name, rgb in BALANCE.items())
+        plan = partial(_footsteps, feet=feet)
+        self._sources = [
+            *(_Source(name, topic, WrenchStamped, make) for name, topic, make in wrenches),
+            *(_Source(name, topic, PointStamped, make) for name, topic, make in balls),
+            _Source("footsteps", _FEEDBACK, ExecuteStepPlan.Impl.FeedbackMessage, plan, _LATCHED),
+        ]
+        self._open = False
+        self._next = 0.0
+
+    def follow(self, watched: frozenset[int], new: frozenset[int]) -> None:
+        """Begin when somebody looks, anew for whoever is new, and end when nobody does."""
+        channel = self._channel.id()
+        if self._open and (channel not in watched or channel in new):
+            for source in self._sources:
+                source.close(self._node)
+            self._open = False
+        if channel in watched and not self._open:
+            for source in self._sources:
+                source.open(self._node)
+            self._open, self._world_shown = True, False
+
+    def show(self) -> int:
+        """Tell what is new, ten times a second; how many messages."""
+        now = time.monotonic()
+        if not self._open or now < self._next:
+            return 0
+        self._next = now + PERIOD
+        entities, deletions = [], []
+        for source in self._sources:
+            message = source.look(now)
+            if message is not None:
+                entities.append(source.make(source.name, message))
+                if source.type is PointStamped and not self._world_shown:
+                    entities += self._world(message.header.frame_id)
+            elif source.gone(now):
+                deletions.append(SceneEntityDeletion(id=source.name))
+        if entities or deletions:
+            self._channel.log(SceneUpdate(entities=entities, deletions=deletions), log_time=time.time_ns())
+        return bool(entities or deletions)
+
+    def _world(self, frame: str) -> list[SceneEntity]:
+        """The ground, where the robot believes that it is; of a real one nobody knows."""
+        self._world_shown = True
+        if self._settings.variant == "hardware":
+            return []
+        from valor.foxglove_bridge.world import world_entity  # and with it MuJoCo, when somebody looks
+
+        return [world_entity(self._settings, self._robot, frame)]
+
+
+def _ball(name: str, told: Any, *, rgb: str) -> SceneEntity:
+    """A point of the balance."""
+    at = pose((told.point.x, told.point.y, told.point.z))
+    ball = SpherePrimitive(pose=at, size=size(0.04, 0.04, 0.04), color=color(rgb))
+    return SceneEntity(
+        timestamp=stamp(told.header.stamp), frame_id=told.header.frame_id, id=name, frame_locked=True, spheres=[ball]
+    )
+
+
+def _contact(name: str, told: Any, *, foot: Foot | None) -> SceneEntity:
+    """The force that the world puts on a foot or a hand, and a foot's sole."""
+    force = told.wrench.force
+    vector = (force.x, force.y, force.z)
+    newtons = math.hypot(*vector)
+    rgb = LEFT if name in (FEET[0], HANDS[0]) else RIGHT
+    arrows, lines = [], []
+    if newtons > LEAST:
+        shaft = METRES * newtons
+        arrows.append(
+            ArrowPrimitive(
+                pose=pose((0.0, 0.0, 0.0), along(vector)), shaft_length=shaft, shaft_diameter=0.02,
+                head_length=0.06, head_diameter=0.05, color=color(rgb),
+            )
+        )  # fmt: skip
+    if foot is not None:
+        corners = [(getattr(foot, end), side * foot.half_width, 0.0) for end, side in _CORNERS]
+        loop = LinePrimitiveLineType.LineLoop
+        lines.append(LinePrimitive(type=loop, thickness=0.006, points=points(corners), color=color(rgb)))
+    return SceneEntity(
+        timestamp=stamp(told.header.stamp), frame_id=told.header.frame_id, id=name, frame_locked=True,
+        arrows=arrows, lines=lines,
+    )  # fmt: skip
+
+
+def _footsteps(name: str, told: Any, *, feet: tuple[Foot, Foot]) -> SceneEntity:
+    """The plan as it runs, its steps numbered."""
+    cubes, texts, plan = [], [], told.feedback.feedback
+    for step in plan.steps:
+        left = step.foot.foot_index == Side.LEFT
+        foot, rgb = feet[0 if left else 1], LEFT if left else RIGHT
+        # A sole's frame is not in its middle: the box is as long to both sides as the longer.
+        extent = size(2.0 * max(foot.toe, -foot.heel), 2.0 * foot.half_width, 0.01)
+        cubes.append(CubePrimitive(pose=of_ros(step.foot.pose), size=extent, color=color(rgb, 0.6)))
+        texts.append(
+            TextPrimitive(
+                pose=of_ros(step.foot.pose, lift=0.05), billboard=True, font_size=0.06, color=color("202020"),
+                text=str(step.step_index),
+            )
+        )  # fmt: skip
+    header = plan.header
+    return SceneEntity(
+        timestamp=stamp(header.stamp), frame_id=header.frame_id, id=name, frame_locked=True, cubes=cubes, texts=texts
+    )

@@ -1,0 +1,72 @@
+"""The simulated world's ground as one entity of the scene, by the world's name and seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from foxglove.messages import CubePrimitive, CylinderPrimitive, SceneEntity, TriangleListPrimitive
+
+from valor.common.instance import Settings
+from valor.foxglove_bridge.shapes import color, points, pose, size
+from valor.robot.description import RobotDescription
+from valor.simulation import worlds
+from valor.simulation.height_fields import triangles
+
+_FLOOR = 30.0  # side of what stands for a floor without end [m]
+_THICK = 0.01  # of it [m]
+_FLOOR_COLOR = "d3d7db"
+_FINE = 0.1  # between two points of a height field, of which every n-th is drawn [m]
+
+
+def world_entity(settings: Settings, robot: RobotDescription, frame: str) -> SceneEntity:
+    """The ground.
+
+    Args:
+        settings: with the world's name, and the seed of all that is random in it.
+        robot: by whose size it is made.
+        frame: in which the robot stood above the origin when it started.
+
+    Raises:
+        ConfigurationError: there is no such world.
+    """
+    model = worlds.load(settings.world, settings.seed, worlds.size_of(robot)).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turn = np.empty(4)
+    cubes, cylinders, triangles = [], [], []
+    for geom in range(model.ngeom):
+        kind, half = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
+        mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
+        where = pose(data.geom_xpos[geom], turn.tolist())
+        if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+            x, y, z = model.geom_pos[geom]
+            below = pose((x, y, z - _THICK / 2))
+            cubes.append(CubePrimitive(pose=below, size=size(_FLOOR, _FLOOR, _THICK), color=color(_FLOOR_COLOR)))
+        elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+            cubes.append(CubePrimitive(pose=where, size=size(*(2.0 * half)), color=_color(model, geom)))
+        elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+            extent = size(2.0 * half[0], 2.0 * half[0], 2.0 * half[1])
+            cylinders.append(
+                CylinderPrimitive(pose=where, size=extent, bottom_scale=1.0, top_scale=1.0, color=_color(model, geom))
+            )
+        elif kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+            triangles.append(_height_field(model, geom))
+    return SceneEntity(frame_id=frame, id="world", cubes=cubes, cylinders=cylinders, triangles=triangles)
+
+
+def _color(model: Any, geom: int) -> Any:
+    material = int(model.geom_matid[geom])
+    plain = bool((model.geom_rgba[geom] == [0.5, 0.5, 0.5, 1.0]).all())  # MuJoCo's, where none is said
+    rgba = model.mat_rgba[material] if material >= 0 and plain else model.geom_rgba[geom]
+    return color("".join(f"{round(255 * float(each)):02x}" for each in rgba[:3]))
+
+
+def _height_field(model: Any, geom: int) -> TriangleListPrimitive:
+    """Drawn coarser than it is simulated."""
+    vertices, faces = triangles(model, int(model.geom_dataid[geom]), _FINE)
+    where = pose(model.geom_pos[geom], model.geom_quat[geom])
+    return TriangleListPrimitive(
+        pose=where, points=points(vertices), color=_color(model, geom), indices=faces.ravel().tolist()
+    )

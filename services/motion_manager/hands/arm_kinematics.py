@@ -1,0 +1,225 @@
+"""Where an arm has its hand, and the steps of its joints towards a pose: kernels, so that many fit into a period.
+
+Steps are damped least squares in which joints at a limit that they would pass take no part (Wampler 1986; Nakamura &
+Hanafusa 1986; damping by the error that is left: Sugihara 2011).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from valor.common.arrays import FloatArray
+from valor.common.kernel import Expression, Kernel, clipped
+from valor.common.turns import about, rotation_vector
+from valor.robot.model import Model
+from valor.robot.quaternion import matrix
+from valor.robot.tables import Hand, Side
+
+APPROACH = 2.0  # speed per distance from the goal [1/s]
+POSTURE = 0.3  # rate per distance from the posture to keep to, where it does not move the hand [1/s]
+DAMPING = 0.05  # λ: from here on singular values are damped
+EXACT = 1e-6  # the same, squared, of what must not move the hand
+LESSER = 0.1  # weight of the orientation where a joint is stuck [m/rad]
+TURN = 0.3  # of the orientation beside the place, in a search [m/rad]
+LEFT = 0.05  # λ² of a search per squared error that is left …
+LEAST = 1e-6  # … and the least [m²]
+STRIDE = 0.4  # of a joint in one step of a search, at most [rad]
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """The greatest of an arm that is led."""
+
+    hand: float  # [m/s]
+    turn: float  # of the hand [rad/s]
+    joints: FloatArray  # (m,) [rad/s]
+
+
+class ArmKinematics:
+    """One arm of m joints, on a chest that w more joints turn; kernels read and write these arrays.
+
+    Attributes:
+        joints: (m,) the arm's places in every joint vector. others: (w,) those between it and the pelvis.
+        position: (m,) [rad]. beside: (w,) of the others [rad].
+        place: (3,) of the target in pelvis [m]. turn: (3, 3) its rotation. carried: (6,) its own twist there.
+        posture: (m,) what redundancy is used for [rad]. stuck: (m,) 1 of joints that do not move.
+        rate: (m,) by ``lead`` and ``move`` [rad/s]. stepped: (m,) by ``search`` [rad].
+        errors: (2,) of the hand at ``position`` from the target, by ``look``, ``lead``, ``search`` [m, rad].
+    """
+
+    def __init__(
+        self, model: Model, hand: Hand, side: Side, bounds: tuple[FloatArray, FloatArray], speeds: Speeds
+    ) -> None:
+        """Build the kernels.
+
+        Args:
+            model: the controller's.
+            hand: its table.
+            side: which one.
+            bounds: (m,) each, of the joints [rad].
+            speeds: of the hand and of the joints.
+        """
+        robot, mj = model.robot, model.mj
+        self.joints = robot.group_indices(f"{side}_arm")
+        arm = [robot.joints[i] for i in self.joints]
+        self._model, self._site, self._arm = model, model.site(hand.site), arm
+        self._chain = _chain(mj, int(mj.site_bodyid[self._site]), model.body(robot.tables.base))
+        hinges = [mj.joint(j).name for body in self._chain for j in _joints(mj, body)]
+        self._others = [name for name in hinges if name not in arm]
+        self.others = np.array([robot.index[name] for name in self._others], dtype=np.intp)
+        self._lower, self._upper = bounds
+        self._speeds = speeds
+        m = len(arm)
+        self.position, self.posture, self.stuck = np.zeros(m), np.zeros(m), np.zeros(m)
+        self.beside = np.zeros(max(1, len(self._others)))
+        self.place, self.turn, self.carried = np.zeros(3), np.eye(3), np.zeros(6)
+        self.rate, self.stepped, self.errors = np.zeros(m), np.zeros(m), np.zeros(2)
+        pose = (self.position, self.beside, self.place, self.turn)
+        self.look = Kernel("hand", self._look, pose, (self.errors,))
+        self.lead = Kernel(
+            "lead",
+            self._lead,
+            (*pose, self.carried, self.posture, self.stuck),
+            (self.rate, self.errors),
+        )
+        self.search = Kernel("search", self._search, (*pose, self.stuck), (self.stepped, self.errors))
+        self.move = Kernel("move", self._move, (self.position, self.beside, self.posture), (self.rate,))
+
+    def stand(self, joint_position: FloatArray) -> None:
+        """What the arm hangs at: (n,) positions of the robot's joints [rad]."""
+        if self.others.size:
+            self.beside[:] = joint_position[self.others]
+
+    def carries(self, body: int) -> bool:
+        """Whether a body moves with the arm."""
+        return not set(self._arm).isdisjoint(self._model.joints_above(body))
+
+    def _hand(self, angles: Expression, beside: Expression) -> tuple[Expression, Expression, Expression]:
+        """Place (3,) and rotation (3, 3) in pelvis, Jacobian (6, m)."""
+        mj = self._model.mj
+        values = dict(zip(self._arm, ca.vertsplit(angles), strict=True))
+        values |= dict(zip(self._others, ca.vertsplit(beside), strict=False))
+        place, turn = ca.SX.zeros(3), ca.SX.eye(3)
+        axes: dict[str, tuple[Expression, Expression]] = {}
+        for body in self._chain:
+            place = place + turn @ mj.body_pos[body]
+            turn = turn @ _sparse(mj.body_quat[body])
+            for joint in _joints(mj, body):
+                name = mj.joint(joint).name
+                anchor = place + turn @ mj.jnt_pos[joint]
+                axes[name] = (turn @ mj.jnt_axis[joint], anchor)
+                turn = turn @ about(mj.jnt_axis[joint], values[name])
+                place = anchor - turn @ mj.jnt_pos[joint]
+        place = place + turn @ mj.site_pos[self._site]
+        turn = turn @ _sparse(mj.site_quat[self._site])
+        columns = [
+            ca.vertcat(ca.cross(axis, place - anchor), axis) for axis, anchor in (axes[name] for name in self._arm)
+        ]
+        return place, turn, ca.horzcat(*columns)
+
+    def _off(
+        self, angles: Expression, beside: Expression, place: Expression, turn: Expression
+    ) -> tuple[Expression, Expression, Expression]:
+        """(6,) from the hand to the target; how far that is (2,); Jacobian (6, m)."""
+        at, attitude, jacobian = self._hand(angles, beside)
+        twist = ca.vertcat(place - at, rotation_vector(turn @ attitude.T))
+        return twist, ca.vertcat(ca.norm_2(twist[:3]), ca.norm_2(twist[3:])), jacobian
+
+    def _look(self, *pose: Expression) -> tuple[Expression]:
+        return (self._off(*pose)[1],)
+
+    def _lead(self, *inputs: Expression) -> tuple[Expression, Expression]:
+        """The rates towards a target."""
+        angles, beside, place, turn, carried, posture, stuck = inputs
+        twist, errors, jacobian = self._off(angles, beside, place, turn)
+        # Both parts arrive together: one factor for the whole twist.
+        fastest = self._speeds.hand / ca.fmax(errors[0], 1e-9), self._speeds.turn / ca.fmax(errors[1], 1e-9)
+        twist = ca.fmin(APPROACH, ca.fmin(*fastest)) * twist + carried
+        lesser = ca.if_else(ca.mmax(stuck) > 0.0, LESSER, 1.0)  # where a joint is stuck the place comes first
+        twist, jacobian = _weighted(lesser, twist), _weighted(lesser, jacobian)
+        idle = POSTURE * (posture - angles)
+        free = 1.0 - stuck
+        rate = _least_squares(jacobian, twist, idle, free)
+        free *= 1.0 - self._passing(angles, rate)
+        rate = _least_squares(jacobian, twist, idle, free)
+        rate /= ca.fmax(1.0, ca.mmax(ca.fabs(rate) / ca.DM(self._speeds.joints)))
+        return rate, errors
+
+    def _search(
+        self, angles: Expression, beside: Expression, place: Expression, turn: Expression, stuck: Expression
+    ) -> tuple[Expression, Expression]:
+        """A step towards a target, of any length."""
+        twist, errors, jacobian = self._off(angles, beside, place, turn)
+        twist, jacobian = _weighted(TURN, twist), _weighted(TURN, jacobian)
+        free = (1.0 - stuck) * (1.0 - self._passing(angles, jacobian.T @ twist))
+        damping = LEFT * ca.sumsqr(twist) + LEAST
+        step = _damped(jacobian, free, twist, damping)
+        free *= 1.0 - self._passing(angles, step)
+        step = _damped(jacobian, free, twist, damping)
+        step /= ca.fmax(1.0, ca.mmax(ca.fabs(step)) / STRIDE)
+        return clipped(angles + step, ca.DM(self._lower), ca.DM(self._upper)), errors
+
+    def _move(self, angles: Expression, beside: Expression, posture: Expression) -> tuple[Expression]:
+        """The rates towards a posture, all joints arriving together, the hand no faster than to a goal."""
+        jacobian = self._hand(angles, beside)[2]
+        rate = APPROACH * (posture - angles)
+        twist = jacobian @ rate
+        return (
+            rate
+            / ca.fmax(
+                ca.fmax(1.0, ca.mmax(ca.fabs(rate) / ca.DM(self._speeds.joints))),
+                ca.fmax(ca.norm_2(twist[:3]) / self._speeds.hand, ca.norm_2(twist[3:]) / self._speeds.turn),
+            ),
+        )
+
+    def _passing(self, angles: Expression, rate: Expression) -> Expression:
+        """1 of each joint that is at a limit and would pass it."""
+        return (angles <= self._lower) * (rate < 0.0) + (angles >= self._upper) * (rate > 0.0)
+
+
+def _chain(mj: mujoco.MjModel, body: int, base: int) -> list[int]:
+    """The bodies below the base down to one."""
+    chain = list[int]()
+    while body not in (0, base):
+        chain.append(body)
+        body = int(mj.body_parentid[body])
+    return chain[::-1]
+
+
+def _joints(mj: mujoco.MjModel, body: int) -> range:
+    first = int(mj.body_jntadr[body])
+    return range(first, first + int(mj.body_jntnum[body]))
+
+
+def _sparse(quaternion: FloatArray) -> Expression:
+    return ca.SX(ca.sparsify(ca.DM(matrix(quaternion))))
+
+
+def _weighted(turn: Expression, rows: Expression) -> Expression:
+    """Six rows, those of the orientation times a weight."""
+    return ca.vertcat(rows[:3, :], turn * rows[3:, :])
+
+
+def _damped(jacobian: Expression, free: Expression, twist: Expression, damping: Expression) -> Expression:
+    """(m,) Jᵀ·(J·Jᵀ + damping·1)⁻¹·twist of the free joints."""
+    moving = jacobian @ ca.diag(free)
+    return moving.T @ _solved(moving @ moving.T + damping * ca.SX.eye(6), twist)
+
+
+def _least_squares(jacobian: Expression, twist: Expression, idle: Expression, free: Expression) -> Expression:
+    """(m,) damped least squares for a twist (6,); what does not move the hand goes as ``idle`` says."""
+    moving, idle = jacobian @ ca.diag(free), free * idle
+    square = moving @ moving.T
+    kept = _solved(square + EXACT * ca.SX.eye(6), moving @ idle)
+    wished = _solved(square + (EXACT + DAMPING**2) * ca.SX.eye(6), twist)
+    return idle + moving.T @ (wished - kept)
+
+
+def _solved(square: Expression, right: Expression) -> Expression:
+    """Of a symmetric positive definite matrix."""
+    diagonal, upper, order = ca.ldl(ca.densify(square), False)
+    return ca.ldl_solve(right, diagonal, upper, order)

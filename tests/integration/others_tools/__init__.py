@@ -1,0 +1,1 @@
+"""A running robot before tools and programs that know its public names alone."""

@@ -1,0 +1,193 @@
+"""The operator's part through the link: a robot behind 9,600 bit/s that is cut, and nothing late is done to it."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import pytest
+
+from harness.system import RosClient, System, running
+from harness.waiting import wait_until
+from valor.common.instance import Instance
+from valor.common.linking import robot_ports
+from valor.common.messages import ModeStatus
+from valor.link.classes import BY_KIND, Kind
+from valor.link.emulate import Emulator
+from valor.link.emulator import DRC_FAST, DRC_SLOW
+from valor.link.schedule import random_windows
+from valor.valorctl.ros_domain import reserve
+
+CUTS = 4
+SEED = 3
+
+
+@dataclass
+class Operation:
+    """Both sides of the link.
+
+    Attributes:
+        robot: a client in the robot's domain, to see what is true.
+        operator: a client in the operator's.
+    """
+
+    system: System
+    emulator: Emulator
+    robot: RosClient
+    operator: RosClient
+    told: list[Any]
+
+    def values(self) -> dict[str, str]:
+        """What ``/link/status`` told last."""
+        return {each.key: each.value for each in self.told[-1].values} if self.told else {}
+
+    def shown(self) -> str:
+        """The mode that the operator is shown."""
+        return str(self.operator.reports[-1].current_control_mode) if self.operator.reports else ""
+
+    def true(self) -> str:
+        """The mode that is."""
+        return str(self.robot.reports[-1].current_control_mode) if self.robot.reports else ""
+
+
+@pytest.fixture(scope="module")
+def operation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operation]:
+    """A robot that stands, the emulated link, and the operator's domain behind it."""
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    home = tmp_path_factory.mktemp("home")
+    emulator = Emulator((0, 0), DRC_SLOW, DRC_FAST, windows=random_windows(SEED, 3600.0), seed=SEED)
+    with reserve("link_operator_test") as theirs:
+        domain = theirs.domain
+        with running("link_test", home, "--no-bag", "--link", f"{domain}:{emulator.listening}") as system:
+            emulator.to = robot_ports(Instance("link_test", home).settings())
+            environment = system.join()
+            robot = RosClient(environment, joint_states=True)
+            operator = RosClient(environment | {"ROS_DOMAIN_ID": str(domain)}, joint_states=True)
+            told: list[Any] = []
+            latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            operator._call(operator.node.create_subscription, DiagnosticStatus, "link/status", told.append, latched)
+            try:
+                wait_until(lambda: operator.joint_state, 60.0, "a state through the link")
+                yield Operation(system, emulator, robot, operator, told)
+            finally:
+                operator.close()
+                robot.close()
+    emulator.close()
+
+
+def test_the_operator_sees_the_robot_as_it_is_and_how_old_that_is(operation: Operation) -> None:
+    from sensor_msgs.msg import JointState
+
+    true: dict[int, Any] = {}
+    robot = operation.robot
+    robot._call(robot.node.create_subscription, JointState, "joint_states", lambda m: true.update({_stamp(m): m}), 10)
+
+    def both() -> tuple[Any, Any] | None:
+        shown = operation.operator.joint_state
+        return (shown, true[_stamp(shown)]) if _stamp(shown) in true else None
+
+    shown, was = wait_until(both, 30.0, "a state of the same time on both sides")
+    assert shown.name == was.name
+    assert max(abs(a - b) for a, b in zip(shown.position, was.position, strict=True)) <= 0.001 + 1e-9
+    wait_until(lambda: _fresh(operation.told, 0), 30.0, "the state's age to be known")
+    wait_until(lambda: operation.values()["mode"] == "stand", 30.0, "the mode to be told")
+    values = operation.values()
+    assert float(values["mode_age"]) >= float(values["state_age"]) > 0.0
+    assert operation.shown() == operation.true() == "stand"
+
+
+def test_modes_arms_and_steps_go_through_it(operation: Operation) -> None:
+    client = operation.operator
+    assert client.change_mode("stand_manipulate").status & ModeStatus.MODE_ACCEPTED
+    arm = _arm(client)
+    joint = list(arm)[3]
+    result = client.follow("left_arm", [(2.0, arm | {joint: arm[joint] - 0.2})])
+    assert result.result.error_code == 0, result.result.error_string
+    assert client.change_mode("step").status & ModeStatus.MODE_ACCEPTED
+    assert _step(client) & 1, "expected REACHED_GOAL"
+
+
+def test_what_is_asked_for_during_a_cut_is_not_done_after_it(operation: Operation) -> None:
+    chance = random.Random(SEED)
+    lasts = BY_KIND[Kind.COMMAND].deadline or 0.0
+    wait_until(lambda: operation.true() == "stand", 30.0, "the steps to end in stand")
+    for number in range(CUTS):
+        wait_until(lambda: operation.shown() == operation.true(), 30.0, "the mode to be shown")
+        operation.emulator.cut = True
+        began, reports = time.monotonic(), len(operation.robot.reports)
+        status = operation.operator.change_mode("stand_manipulate")
+        assert not status.status & ModeStatus.MODE_ACCEPTED
+        assert time.monotonic() - began < 3 * lasts
+        time_cut = began + lasts + chance.uniform(0.5, 2.0)
+        wait_until(partial(_past, time_cut), 30.0, "the cut to be longer than the deadline")
+        assert float(operation.values()["state_age"]) > lasts / 2
+        operation.emulator.cut = False
+        told = len(operation.told)
+        wait_until(partial(_fresh, operation.told, told), 60.0, "states to come again")
+        asked = {each.current_control_mode for each in operation.robot.reports[reports:]}
+        assert asked <= {"stand"}, f"cut {number}: {asked}"
+
+
+def test_a_stop_goes_through_it(operation: Operation) -> None:
+    from std_msgs.msg import Empty
+
+    client = operation.operator
+    publisher = client._call(client.node.create_publisher, Empty, "flor/controller/soft_stop", 1)
+    wait_until(publisher.get_subscription_count, 10.0, "the link to listen")
+    publisher.publish(Empty())
+    wait_until(lambda: operation.true() == "soft_stop", 20.0, "the robot to stop")
+    wait_until(lambda: operation.shown() == "soft_stop", 20.0, "the stop to be shown")
+
+
+def test_the_slow_channel_carried_no_more_than_it_can(operation: Operation) -> None:
+    to, back = operation.emulator.lines[:2]
+    assert to.lost + back.lost < 0.2 * (to.passed + back.passed), "the ends keep to their budgets, but for cuts"
+    assert int(operation.values()["states"]) > 50
+
+
+def _stamp(message: Any) -> int:
+    """[ms]."""
+    return int(1000 * message.header.stamp.sec + message.header.stamp.nanosec // 10**6)
+
+
+def _past(time_: float) -> bool:
+    return time.monotonic() > time_
+
+
+def _fresh(told: list[Any], since: int) -> bool:
+    """Whether one of those from a place on says that the state is."""
+    return any(float(pair.value) < 2.0 for each in told[since:] for pair in each.values if pair.key == "state_age")
+
+
+def _arm(client: RosClient) -> dict[str, float]:
+    from harness.places import ROBOTS
+    from valor.robot.description import RobotDescription
+
+    positions = client.joint_positions()
+    return {name: positions[name] for name in RobotDescription.load(ROBOTS / "escher").tables.group("left_arm")}
+
+
+def _step(client: RosClient) -> int:
+    """Two steps on the spot; the result's flags."""
+    from rclpy.action import ActionClient
+    from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+    from vigir_footstep_planning_msgs.msg import Step
+
+    goal = ExecuteStepPlan.Goal()
+    goal.step_plan.header.frame_id = "base_footprint"
+    for index, side in enumerate((0, 1)):
+        step = Step(step_index=index, valid=True)
+        step.foot.foot_index = side
+        step.foot.pose.position.x, step.foot.pose.position.y = 0.05, 0.12 * (1 - 2 * side)
+        step.foot.pose.orientation.w = 1.0
+        goal.step_plan.steps.append(step)
+    action = client._call(
+        ActionClient, client.node, ExecuteStepPlan, "robot_controllers/footstep_controller/execute_step_plan"
+    )
+    return int(client._run(action, goal, 90.0).result.status.status)

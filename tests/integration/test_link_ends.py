@@ -1,0 +1,236 @@
+"""Both ends as processes between two ROS domains, with somebody in the robot's place who answers as told."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+import bifrost
+from harness.instance import RunningInstance
+from harness.places import ROBOTS
+from harness.system import RosClient
+from harness.waiting import wait_until
+from valor.common import membership
+from valor.common.instance import Instance, Settings
+from valor.common.messages import ModeStatus
+from valor.common.table import checked
+from valor.valorctl.ros_domain import daemon_ports, reserve, reserve_for
+
+MODES = "mode_controllers/control_mode_controller/change_control_mode"
+
+
+@dataclass
+class Robot:
+    """Serves the control modes; ends a goal when told, or when it is canceled."""
+
+    asked: list[str] = field(default_factory=list)
+    ends: threading.Event = field(default_factory=threading.Event)
+    canceled: list[str] = field(default_factory=list)
+    under_way: set[int] = field(default_factory=set)
+
+    def execute(self, handle: Any) -> Any:
+        self.under_way.add(id(handle))
+        try:
+            return self._execute(handle)
+        finally:
+            self.under_way.discard(id(handle))
+
+    def _execute(self, handle: Any) -> Any:
+        from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+        self.asked.append(handle.request.mode_request)
+        result = ChangeControlMode.Result()
+        wait_until(lambda: self.ends.is_set() or handle.is_cancel_requested, 30.0, "to be told how the goal ends")
+        if handle.is_cancel_requested:
+            self.canceled.append(handle.request.mode_request)
+            handle.canceled()
+            return result
+        result.result.status = int(ModeStatus.MODE_ACCEPTED)
+        result.result.current_control_mode = handle.request.mode_request
+        handle.succeed()
+        return result
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RunningInstance, int]]:
+    """An instance of nothing but the link, and the operator's domain."""
+    made = Instance("link_ends", tmp_path_factory.mktemp("home"))
+    made.logs.mkdir(parents=True)
+    with reserve_for(made) as reservation, reserve("link_ends_operator", {reservation.domain}) as theirs:
+        settings = {"robot": str(ROBOTS / "escher"), "ros_domain_id": reservation.domain,
+                    "port_block": reservation.domain, "link": {"domain": theirs.domain}}  # fmt: skip
+        made.settings_file.write_text(checked(Settings, settings).json())
+        network = bifrost.Network.create(
+            made.network_file, made.keys, ports=daemon_ports(reservation.domain), charter=membership.charter(made)
+        )
+        instance = RunningInstance(made, network)
+        try:
+            for name in ("bifrostd", "link_robot", "link_operator"):
+                instance.start(name, env={"BIFROST_OWNERS": str(made.owners)})
+            yield instance, theirs.domain
+        finally:
+            instance.close()
+
+
+@pytest.fixture(scope="module")
+def sides(running: tuple[RunningInstance, int]) -> Iterator[tuple[Robot, RosClient, RosClient]]:
+    """Who answers in the robot's place, a client beside, and one in the operator's domain."""
+    import rclpy
+    from rclpy.action import ActionServer, CancelResponse
+    from rclpy.executors import MultiThreadedExecutor
+    from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+    instance, domain = running
+    environment = instance.instance.environment()
+    beside, operator = (
+        RosClient(each, joint_states=False) for each in (environment, environment | {"ROS_DOMAIN_ID": str(domain)})
+    )
+    robot, context = Robot(), rclpy.Context()
+    rclpy.init(context=context, domain_id=int(environment["ROS_DOMAIN_ID"]))
+    node = rclpy.create_node("in_the_robots_place", context=context)
+    server = ActionServer(
+        node, ChangeControlMode, MODES, robot.execute, cancel_callback=lambda _: CancelResponse.ACCEPT
+    )
+    executor = MultiThreadedExecutor(4, context=context)
+    executor.add_node(node)
+    over = threading.Event()
+
+    def spin() -> None:
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.1)
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    yield robot, beside, operator
+    robot.ends.set()
+    wait_until(lambda: not robot.under_way, 30.0, "the goals to end")  # before their executor: each tells it so
+    over.set()
+    thread.join(10.0)
+    executor.shutdown()
+    server.destroy()
+    node.destroy_node()
+    context.try_shutdown()
+    operator.close()
+    beside.close()
+
+
+def _goal(operator: RosClient, mode: str) -> Any:
+    """The handle of a goal."""
+    from vigir_humanoid_control_msgs.action import ChangeControlMode
+
+    client = operator._mode
+    assert client.wait_for_server(timeout_sec=30.0)
+    return operator._wait(operator._call(client.send_goal_async, ChangeControlMode.Goal(mode_request=mode)), 30.0, mode)
+
+
+def test_what_nobody_serves_is_refused_with_the_reason(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    _, _, operator = sides
+    told: list[str] = []
+
+    def refused() -> bool:
+        result = operator.follow("neck", [(1.0, {"any": 0.0})], 30.0).result
+        assert result.error_code != 0
+        told.append(result.error_string)
+        return "not been heard" not in told[-1]
+
+    wait_until(refused, 30.0, "the ends to hear each other")
+    assert "nobody serves" in told[-1]
+
+
+def test_a_goal_ends_at_the_operators_as_at_the_robots(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    robot, _, operator = sides
+    robot.ends.set()
+    assert operator.change_mode("walk", 30.0).status == ModeStatus.MODE_ACCEPTED
+    assert robot.asked == ["walk"]
+    robot.ends.clear()
+
+
+def test_a_cancellation_goes_through_it(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    from action_msgs.msg import GoalStatus
+
+    robot, _, operator = sides
+    handle = _goal(operator, "step")
+    wait_until(lambda: "step" in robot.asked, 30.0, "the goal to begin")
+    operator._call(handle.cancel_goal_async)
+    told = operator._wait(operator._call(handle.get_result_async), 30.0, "the goal to end")
+    assert told.status == GoalStatus.STATUS_CANCELED and robot.canceled == ["step"]
+
+
+def test_a_stop_is_one_message_and_comes_once(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    from std_msgs.msg import Empty
+
+    _, beside, operator = sides
+    stops: list[Any] = []
+    beside._call(beside.node.create_subscription, Empty, "flor/controller/soft_stop", stops.append, 10)
+    publisher = operator._call(operator.node.create_publisher, Empty, "flor/controller/soft_stop", 1)
+    wait_until(lambda: publisher.get_subscription_count() and beside.node.count_publishers("flor/controller/soft_stop"),
+               30.0, "both ends")  # fmt: skip
+    publisher.publish(Empty())
+    wait_until(lambda: len(stops) == 1, 30.0, "the stop")
+    publisher.publish(Empty())
+    wait_until(lambda: len(stops) >= 2, 30.0, "another")
+    assert len(stops) == 2
+
+
+def test_how_a_plan_and_a_hand_fare_is_told_as_there(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from valor_msgs.msg import HandGoalStatus
+    from vigir_footstep_planning_msgs.msg import Step
+
+    from valor.ros.progress import FEEDBACK, GOAL_STATUS, FeedbackMessage
+
+    _, beside, operator = sides
+    latched = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    plans: list[Any] = []
+    hands: list[Any] = []
+    operator._call(operator.node.create_subscription, FeedbackMessage, FEEDBACK, plans.append, latched)
+    topic = GOAL_STATUS.format("r_hand")
+    operator._call(operator.node.create_subscription, HandGoalStatus, topic, hands.append, latched)
+    sent = FeedbackMessage()
+    sent.feedback.header.frame_id = sent.feedback.feedback.header.frame_id = "odom"
+    sent.feedback.feedback.steps = [Step(step_index=index, valid=True) for index in range(3)]
+    sent.feedback.status.error_msg = "step 2: too far"
+    beside._call(beside.node.create_publisher, FeedbackMessage, FEEDBACK, latched).publish(sent)
+    status = HandGoalStatus(hand=1, state="out_of_reach", reason="too far", position_error=0.25)
+    beside._call(beside.node.create_publisher, HandGoalStatus, topic, latched).publish(status)
+    wait_until(lambda: plans and plans[-1].feedback == sent.feedback, 30.0, "the plan to be told")
+    wait_until(lambda: hands and hands[-1] == status, 30.0, "the hand to be told")
+
+
+def test_what_became_of_each_command_is_told(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from std_msgs.msg import Empty
+
+    _, beside, operator = sides
+    told: list[Any] = []
+    operator._call(operator.node.create_subscription, DiagnosticStatus, "link/status", told.append, 10)
+    releases: list[Any] = []
+    topic = "flor/l_hand/goal_cancel"
+    beside._call(beside.node.create_subscription, Empty, topic, releases.append, 10)
+    publisher = operator._call(operator.node.create_publisher, Empty, topic, 1)
+    wait_until(lambda: publisher.get_subscription_count() and beside.node.count_publishers(topic), 30.0, "both ends")
+    publisher.publish(Empty())
+    wait_until(lambda: releases, 30.0, "it to be obeyed")
+
+    def last() -> str:
+        values = {pair.key: pair.value for pair in told[-1].values} if told else {}
+        return str(values.get("last_command"))
+
+    wait_until(lambda: last().startswith("goal_cancel: done"), 30.0, "that to be told")
+
+
+def test_goals_of_an_end_that_died_are_not_left_open(
+    running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient]
+) -> None:
+    robot, _, operator = sides
+    handle = _goal(operator, "manipulate")
+    wait_until(lambda: "manipulate" in robot.asked, 30.0, "the goal to begin")
+    running[0].kill("link_robot")
+    running[0].start("link_robot", env={"BIFROST_OWNERS": str(running[0].instance.owners)})
+    told = operator._wait(operator._call(handle.get_result_async), 60.0, "the goal to end")
+    assert told.result.result.status & ModeStatus.MODE_REJECTED
+    assert robot.asked.count("manipulate") == 1

@@ -1,0 +1,239 @@
+"""The operator's page before a simulated robot: what a person reads and presses there, and what the robot then does."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bifrost
+from harness.held_line import HeldLine
+from harness.operator_page import PATIENCE, Page
+from harness.system import System, running
+from harness.waiting import wait_until
+from valor.common.behaviors import Behavior
+from valor.common.instance import Instance
+from valor.common.messages import MotionState, Proprioceptor
+from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.common.viewing import page_port
+from valor.operator_station.body import Body
+from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
+
+pytestmark = pytest.mark.timeout(1800)
+LATE = 3.0  # longer than a command may take to come [s]
+
+
+class Robot:
+    """What the robot does, by its own word, and where it is in truth."""
+
+    def __init__(self, system: System, home: Path) -> None:
+        self.system = system
+        self.instance = Instance(system.name, home)
+        self.description = RobotDescription.load(self.instance.settings().robot)
+        network = bifrost.Network.load(self.instance.network_file, self.instance.keys)
+        self._node = bifrost.Node("beside_the_page", network=network)
+        self._states = MOTION_STATE.subscriber(self._node, queue=20000)
+        self._senses = PROPRIOCEPTOR.subscriber(self._node)
+        self._truth = GROUND_TRUTH.subscriber(self._node)
+        self._body = Body(full_model(self.description))
+
+    def close(self) -> None:
+        self._node.close()
+
+    def behaviors(self) -> set[str]:
+        """Since this was asked last."""
+        return {received.message.behavior for received in self._states.drain()}
+
+    def state(self) -> MotionState:
+        self._states.drain()
+        return wait_until(lambda: self._states.receive(timeout=1.0), PATIENCE, "MotionState").message
+
+    def place(self) -> Any:
+        """(3,) of the pelvis in truth [m]."""
+        truth = wait_until(lambda: self._truth.receive(timeout=1.0), PATIENCE, "truth").message
+        return truth.pelvis_position_in_world
+
+    def joint(self, name: str) -> float:
+        return float(self._sensed().joint_position[self.description.index[name]])
+
+    def _sensed(self) -> Proprioceptor:
+        self._senses.drain()
+        return wait_until(lambda: self._senses.receive(timeout=1.0), PATIENCE, "Proprioceptor").message
+
+    def left_hand(self) -> tuple[Any, Any]:
+        """(3,) and (3, 3) in odom, by the estimated pelvis and the measured joints."""
+        hand = self.description.tables.hands.left
+        assert hand is not None
+        state = self.state()
+        self._body.place(state.pelvis_position_in_odom, state.pelvis_orientation_in_odom)
+        self._body.pose(self._sensed().joint_position)
+        self._body.update()
+        return self._body.site(hand.site)
+
+    def kill(self, process: str) -> None:
+        """As the kernel would: its supervisor starts it again."""
+        (pid,) = (each["pid"] for each in self.system.status()["services"] if each["name"] == process)
+        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture(scope="module")
+def robot(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    home = tmp_path_factory.mktemp("home")
+    with running("page", home, "--view", "--no-bag", "--initial-mode", "stand_prep") as system:
+        robot = Robot(system, home)
+        yield robot
+        robot.close()
+
+
+@pytest.fixture(scope="module")
+def line(robot: Robot) -> Iterator[HeldLine]:
+    with HeldLine(page_port(robot.instance.settings())) as line:
+        yield line
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, line: HeldLine, robot: Robot) -> Page:
+    page = Page(browser, line.port)
+    page.take_control("Ann", robot.instance.operator_token.read_text(), "Ann operates")
+    page.dismiss()
+    return page
+
+
+def test_the_robot_stands_up(page: Page, robot: Robot) -> None:
+    assert "behavior stand_prep" in page.text("state")
+    page.command("stand", "control mode stand:", "done")
+    page.sees("state", "behavior stand ")
+    assert robot.state().behavior == Behavior.STAND
+    page.picture("stand")
+
+
+def test_a_mode_is_changed_and_those_that_cannot_follow_say_why(page: Page, robot: Robot) -> None:
+    page.command("stand_manipulate", "control mode stand_manipulate", "done")
+    assert robot.state().behavior == Behavior.STAND_MANIPULATE
+    refused = page.button("stand_prep – not from stand_manipulate: first freeze")
+    refused.wait_for()
+    assert refused.is_disabled()
+    page.picture("modes")
+    robot.behaviors()
+    refused.dispatch_event("click")  # by a browser that would not care
+    page.command("manipulate", "control mode manipulate", "done")
+    assert not page.commanded("stand_prep", "done")
+    assert robot.behaviors() <= {Behavior.STAND_MANIPULATE}
+
+
+def test_an_arm_goes_where_its_ghost_was_when_it_is_approved(page: Page, robot: Robot) -> None:
+    name = "l_shoulder_pitch"
+    wanted = robot.description.tables.arm_presets["forward"]["left"][name]
+    page.tab("Arms")
+    before = robot.joint(name)
+    page.press("left arm: forward")
+    page.page.get_by_text("nothing speaks against it").wait_for()
+    page.picture("arm")
+    assert abs(robot.joint(name) - before) < 0.05, "nothing moves before it is approved"
+    page.command("Approve and execute", "left arm forward", "arrived")
+    assert abs(robot.joint(name) - wanted) < 0.05
+
+
+def test_a_hand_is_dragged_shown_approved_and_led_there(page: Page, robot: Robot) -> None:
+    before = robot.left_hand()
+    page.show_goal("left")
+    page.drag("left", *before, 0.3)
+    page.page.get_by_text("would be refused: reach: the left hand would stay").wait_for()
+    assert page.button("Approve and execute").is_disabled()
+    page.picture("refused")
+    page.press("Forget it")
+    page.page.get_by_text("nothing is previewed").wait_for()
+    page.show_goal("left", shown=False)
+    page.show_goal("left")
+    goal = np.array([float(each) for each in re.findall(r"-?\d+\.\d+", page.drag("left", *before, -0.06))])
+    page.page.get_by_text("nothing speaks against it").wait_for()
+    page.picture("hand")
+    assert np.linalg.norm(robot.left_hand()[0] - before[0]) < 0.02, "nothing moves before it is approved"
+    assert np.linalg.norm(goal - before[0]) > 0.02
+    page.command("Approve and execute", "left hand to (", "handed over")
+    wait_until(lambda: np.linalg.norm(robot.left_hand()[0] - goal) < 0.015, PATIENCE, "the hand is there")
+    page.sees("state", "l hand reached")
+    page.show_goal("left", shown=False)
+
+
+def test_a_click_on_the_floor_is_walked_when_it_is_approved(page: Page, robot: Robot) -> None:
+    page.tab("Drive")
+    page.command("stand", "control mode stand:", "done")
+    page.page.get_by_text("click on the floor to plan").click()
+    before = robot.place()
+    page.page.mouse.click(*page.at((1.0, 0.0, 0.0)))
+    text = page.page.get_by_text("steps to (").inner_text()
+    goal = np.array([float(each) for each in re.findall(r"-?\d+\.\d+", text)][:2])
+    page.picture("steps")
+    assert np.linalg.norm(robot.place() - before) < 0.05, "nothing moves before it is approved"
+    page.command("Walk there", "steps:", "all steps taken")
+    way = robot.place() - before
+    assert np.abs(goal - (1.0, 0.0)).max() < 0.1
+    assert np.abs(way[:2] - goal).max() < 0.1
+    page.sees("state", "behavior stand ")
+    page.picture("walked")
+
+
+def test_a_second_operator_is_refused_then_takes_over_visibly(
+    browser: Any, line: HeldLine, page: Page, robot: Robot
+) -> None:
+    other = Page(browser, line.port)
+    other.take_control("Bob", robot.instance.operator_token.read_text(), "Ann operates, and is told that Bob asks")
+    page.sees("state", "Bob asks for control")
+    other.picture("second")
+    other.press("Take over")
+    page.sees("state", "Bob operates")
+    other.context.close()
+    page.sees("state", "Bob operates (gone")
+    page.press("Take control")
+    page.sees("state", "Ann operates")
+
+
+def test_what_was_pressed_during_a_cut_is_late_and_moves_nothing(page: Page, line: HeldLine, robot: Robot) -> None:
+    robot.behaviors()
+    line.hold()
+    page.press("stand_manipulate")
+    page.page.wait_for_timeout(1000.0 * LATE)
+    line.release()
+    page.wait("commands", lambda text: "stand_manipulate: refused – came too late" in text, "late")
+    page.picture("late")
+    page.sees("state", "fresh")
+    assert robot.behaviors() == {Behavior.STAND}
+
+
+def test_after_a_reload_the_same_browser_operates(page: Page, robot: Robot) -> None:
+    robot.behaviors()
+    page.page.reload()
+    page.page.locator("#state").wait_for()
+    page.wait("state", lambda text: "Ann operates" in text and "gone" not in text, "the operator is back")
+    page.command("stand_manipulate", "control mode stand_manipulate", "done")
+    assert robot.behaviors() <= {Behavior.STAND, Behavior.STAND_MANIPULATE}
+
+
+def test_the_page_recovers_from_a_killed_vrc_by_itself(page: Page, robot: Robot) -> None:
+    robot.behaviors()
+    robot.kill("valor_ros_controller")
+    page.wait("state", lambda text: re.search(r"joints [\d.]+ s old", text) is not None, "what is old is said to be")
+    page.picture("vrc")
+    page.wait("state", lambda text: "joints fresh" in text and "stand_manipulate" in text, "it is heard again")
+    assert "Ann operates" in page.text("state")
+    assert robot.behaviors() == {Behavior.STAND_MANIPULATE}, "the robot does what it did"
+    page.command("stand", "control mode stand:", "done")
+
+
+def test_the_stop_stops_a_robot_that_walks(page: Page, robot: Robot) -> None:
+    page.command("walk", "control mode walk:", "done")
+    robot.behaviors()
+    stop = page.page.frame_locator("iframe[title=stop]")
+    stop.get_by_role("button", name="STOP").dispatch_event("pointerdown")
+    stop.get_by_text("stopped after").wait_for()
+    page.picture("stop")
+    page.sees("state", "behavior soft_stop")
+    assert robot.state().behavior == Behavior.SOFT_STOP

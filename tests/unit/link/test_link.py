@@ -1,0 +1,238 @@
+"""Both ends over an emulated link in simulated time: nothing late is obeyed, nothing twice; ages are not flattered."""
+
+import random
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from harness.examples import examples
+from harness.link_pair import Pair
+from harness.places import ROBOTS
+from valor.common.arrays import FloatArray
+from valor.link.classes import ALWAYS_ON, BY_KIND, OPERATOR, ROBOT, Kind
+from valor.link.emulator import DRC_FAST, DRC_SLOW, Conditions
+from valor.link.end import Arrived, Channel, GivenUp
+from valor.link.errors import SealError
+from valor.link.fields import Layout
+from valor.link.schedule import random_windows
+from valor.link.state import RobotState
+from valor.robot.description import RobotDescription
+
+DESCRIPTION = RobotDescription.load(ROBOTS / "escher")
+LAYOUT = Layout(DESCRIPTION)
+LEGS = [*DESCRIPTION.group_indices("left_leg"), *DESCRIPTION.group_indices("right_leg")]
+BAD = Conditions(bandwidth=9600.0, delay=0.1, jitter=0.2, loss=0.15, duplication=0.1, reordering=0.1, held=1.0)
+
+
+class Robot:
+    """A robot whose legs swing as in a walk."""
+
+    def __init__(self) -> None:
+        self.turns, self.legs = 0, np.isin(np.arange(len(DESCRIPTION.joints)), LEGS)
+
+    def __call__(self) -> RobotState:
+        self.turns += 1
+        phases = 0.3 * self.turns + np.arange(len(self.legs), dtype=np.float64)
+        joints: FloatArray = np.where(self.legs, 0.3 * np.sin(phases), 0.0)
+        return RobotState(
+            joints=joints, stamp=100 * self.turns, mode="walk", mode_age=0.0, behavior="walk", behavior_age=0.0
+        )
+
+
+def pair(conditions: Conditions = DRC_SLOW, **more: object) -> Pair:
+    return Pair(LAYOUT, Robot(), conditions, **more)  # type: ignore[arg-type]
+
+
+def test_the_budgets_of_both_ends_fit_into_the_channel() -> None:
+    assert ROBOT.budget + OPERATOR.budget <= ALWAYS_ON
+
+
+def test_over_the_slow_channel_states_come_at_least_eight_times_a_second_within_it() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states, 10.0)
+    before, began = link.operator.states, link.now
+    passed = sum(line.passed for line in link.lines.values())
+    link.run(30.0)
+    assert (link.operator.states - before) / (link.now - began) >= 8.0
+    assert (sum(line.passed for line in link.lines.values()) - passed) / (link.now - began) <= ALWAYS_ON
+
+
+def test_a_command_arrives_and_is_answered_while_states_go_on() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states > 5, 10.0)
+    plan = random.Random(1).randbytes(900)
+    link.operator.send(Kind.COMMAND, plan, link.now)
+    before = link.operator.states
+    link.until(lambda: plan in link.answers, 10.0)
+    assert [content for _, _, content in link.executed] == [plan]
+    assert link.operator.states > before
+
+
+def test_a_stop_overtakes_what_waits_and_nothing_sent_before_it_is_obeyed_after_it() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states, 10.0)
+    for number in range(8):
+        link.operator.send(Kind.COMMAND, bytes([number]) * 290, link.now)
+    link.run(0.1)
+    link.operator.send(Kind.STOP, b"stop", link.now)
+    sent = link.now
+    link.until(lambda: any(kind is Kind.STOP for _, kind, _ in link.executed), 3.0)
+    stopped = next(at for at, kind, _ in link.executed if kind is Kind.STOP)
+    assert stopped - sent < 1.0
+    link.run(10.0)
+    assert not [each for each in link.executed if each[0] > stopped]
+
+
+def test_what_a_stop_overtakes_on_its_way_is_refused_and_what_waits_is_let_go() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states, 10.0)
+    first = link.operator.send(Kind.COMMAND, b"overtaken", link.now)
+    held = link.operator.turn(link.now)
+    second = link.operator.send(Kind.COMMAND, b"waits", link.now)
+    link.operator.send(Kind.STOP, b"stop", link.now)
+    given_up = [event for event in link.operator.events() if isinstance(event, GivenUp)]
+    assert [event.ids for event in given_up] == [{first, second}]
+    for _, data in (*link.operator.turn(link.now), *held):
+        link.robot.receive(data, Channel.SLOW, link.robot_time)
+    arrived = {event.content: event.refused for event in link.robot.events() if isinstance(event, Arrived)}
+    assert set(arrived) == {b"overtaken", b"stop"}
+    assert not arrived[b"stop"] and "stop was sent after" in arrived[b"overtaken"]
+
+
+def test_a_datagram_is_taken_once() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states, 10.0)
+    link.operator.stream(Kind.STREAM, b"velocity", link.now)
+    (_, data), *_ = link.operator.turn(link.now)
+    assert [link.robot.receive(data, Channel.SLOW, link.robot_time) for _ in range(3)] == [True, False, False]
+    assert len(link.robot.events()) == 1
+
+
+def test_an_end_with_too_much_to_say_keeps_to_its_budget() -> None:
+    random_ = np.random.default_rng(0)
+    link = Pair(LAYOUT, lambda: RobotState(joints=random_.uniform(-0.3, 0.3, len(DESCRIPTION.joints))), DRC_SLOW)
+    link.until(lambda: link.operator.states, 10.0)
+    for _ in range(BY_KIND[Kind.EVENT].most):
+        link.robot.send(Kind.EVENT, bytes(290), link.robot_time)
+    line, began = link.lines[True, Channel.SLOW], link.now
+    before = line.passed
+    link.run(30.0)
+    assert ROBOT.budget * 0.9 < (line.passed - before) / (link.now - began) < ROBOT.budget * 1.03
+
+
+def test_what_was_sent_before_a_cut_is_not_obeyed_after_it() -> None:
+    link = pair(cuts=[(5.0, 20.0)])
+    link.until(lambda: link.now > 5.1, 10.0)
+    link.operator.send(Kind.COMMAND, b"walk on", link.now)
+    link.operator.stream(Kind.STREAM, b"velocity", link.now)
+    link.run(30.0)
+    assert link.operator.states and not link.executed
+    assert link.given_up
+
+
+def test_what_waits_is_bounded_and_the_newest_refusals_are_told() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states, 10.0)
+    most = BY_KIND[Kind.EVENT].most
+    for number in range(3 * most):
+        link.robot.send(Kind.EVENT, bytes([number % 256]), link.robot_time)
+    for _ in range(BY_KIND[Kind.COMMAND].most):
+        link.operator.send(Kind.COMMAND, b"", link.now)
+    with pytest.raises(SealError, match="wait to be acknowledged"):
+        link.operator.send(Kind.COMMAND, b"one more", link.now)
+    link.run(30.0)
+    assert [each for each in link.answers if each] == [bytes([number % 256]) for number in range(2 * most, 3 * most)]
+
+
+def test_without_the_other_end_nothing_can_be_sent() -> None:
+    link = pair(cuts=[(0.0, 100.0)])
+    link.run(1.0)
+    with pytest.raises(SealError, match="not been heard"):
+        link.operator.send(Kind.COMMAND, b"", link.now)
+
+
+def test_an_end_that_starts_anew_is_found_again_and_knows_nothing_of_what_was() -> None:
+    link = pair()
+    link.until(lambda: link.operator.states > 10, 10.0)
+    link.operator.send(Kind.COMMAND, b"before", link.now)
+    link.begin_robot()
+    link.run(15.0)
+    assert link.operator.state is not None and not link.executed
+    link.begin_operator()
+    link.until(lambda: link.operator.states > 10, 20.0)
+    link.operator.send(Kind.COMMAND, b"after", link.now)
+    link.until(lambda: b"after" in link.answers, 10.0)
+
+
+def test_in_a_window_of_the_fast_channel_more_states_come() -> None:
+    link = pair(fast=DRC_FAST, windows=[(10.0, 12.0)])
+    link.until(lambda: link.now > 8.0, 10.0)
+    before = link.operator.states
+    link.until(lambda: link.now > 10.0, 10.0)
+    slow, middle = link.operator.states - before, link.operator.states
+    link.until(lambda: link.now > 12.0, 10.0)
+    assert link.operator.states - middle > 2 * slow
+
+
+def test_of_another_robot_the_end_is_refused_and_named() -> None:
+    link = pair()
+    link.operator.session._print = b"other-rb"
+    link.run(3.0)
+    assert not link.operator.states
+    assert "other files of the robot" in link.operator.session.strange
+
+
+@examples(60)
+@given(st.binary(max_size=120), st.sampled_from((b"\x00", b"\x01", b"\x02", b"")))
+def test_strangers_datagrams_are_counted_and_nothing_else(data: bytes, begins: bytes) -> None:
+    link = PLAIN
+    before = sum(link.robot.refused.values())
+    link.robot.receive(begins + data, 0, link.robot_time)  # type: ignore[arg-type]
+    assert sum(link.robot.refused.values()) == before + 1
+    assert not link.robot.events()
+
+
+PLAIN = pair()
+PLAIN.until(lambda: PLAIN.operator.states > 3, 10.0)
+
+
+@examples(5)
+@given(st.integers(0, 2**31), st.booleans())
+def test_however_bad_the_link_commands_are_obeyed_once_in_time_or_not_at_all(seed: int, fast: bool) -> None:
+    chance = random.Random(seed)
+    cuts, at = [], 3.0
+    for _ in range(6):
+        start = at + chance.uniform(0.2, 4.0)
+        at = start + chance.choice((0.2, 2.0, 8.0))
+        cuts.append((start, at))
+    link = pair(
+        BAD, seed=seed, cuts=cuts, **({"fast": DRC_FAST, "windows": random_windows(seed, 60.0)} if fast else {})
+    )
+    sent: dict[bytes, tuple[float, Kind]] = {}
+    stops: list[float] = []
+    while link.now < at + 12.0:
+        link.step()
+        if link.operator.state is not None:  # the age that is told is never less than the true one
+            true = link.robot_time - (link.operator.state.clock / 1e3 + link.robot._born)
+            assert link.operator.age(link.now) >= true - 2e-3
+        if link.now < at and chance.random() < 0.02 and link.operator.session.established:
+            kind = Kind.STOP if chance.random() < 0.1 else chance.choice((Kind.COMMAND, Kind.STREAM))
+            content = f"{len(sent)} {kind.name} ".encode() + bytes(chance.choice((0, 300, 700)))
+            try:
+                (link.operator.stream if kind is Kind.STREAM else link.operator.send)(kind, content, link.now)
+            except SealError:
+                continue
+            sent[content] = (link.now, kind)
+            stops += [link.now] * (kind is Kind.STOP)
+    counts = Counter(content for _, _, content in link.executed)
+    assert set(counts) <= set(sent) and max(counts.values(), default=0) <= 1
+    stopped = {content: when for when, kind, content in link.executed if kind is Kind.STOP}
+    for when, kind, content in link.executed:
+        lasts = BY_KIND[kind].deadline
+        assert lasts is not None and when - sent[content][0] <= lasts + 0.05
+        if kind is Kind.COMMAND:
+            after = [at for stop, at in stopped.items() if sent[stop][0] > sent[content][0]]
+            assert all(when <= at for at in after), "obeyed after a stop that was sent later"

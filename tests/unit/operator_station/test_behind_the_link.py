@@ -1,0 +1,48 @@
+"""The page behind the link: ages are the link's, not those of what comes by; what the link says is shown."""
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+from vigir_humanoid_control_msgs.msg import ControlModeStatus
+
+from valor.operator_station.intake import Intake
+
+
+def say(intake: Intake, topic: str, message: object, now: float) -> None:
+    """Have a message come."""
+    next(each for each in intake.inputs if each.topic == topic).take(message, now)
+
+
+def status(**values: str) -> DiagnosticStatus:
+    """``/link/status``."""
+    return DiagnosticStatus(
+        message="the robot is heard", values=[KeyValue(key=key, value=value) for key, value in values.items()]
+    )
+
+
+def test_what_comes_is_as_old_as_the_link_says() -> None:
+    intake = Intake(linked=True)
+    say(intake, "joint_states", JointState(name=["knee"], position=[0.5]), 10.0)
+    assert intake.heard.joints == {"knee": 0.5}
+    assert intake.heard.ages.text("joints", 10.0) == "never heard", "nobody has said how old it is"
+    say(intake, "link/status", status(state_age="0.300", mode_age="2.500", behavior_age="inf"), 10.0)
+    ages = intake.heard.ages
+    assert abs(ages.age("joints", 10.0) - 0.3) < 1e-9 and abs(ages.age("mode", 11.0) - 3.5) < 1e-9
+    say(intake, "flor/controller/mode", ControlModeStatus(current_control_mode="stand"), 12.0)
+    assert intake.heard.mode.current == "stand" and abs(ages.age("mode", 12.0) - 4.5) < 1e-9
+    assert ages.text("motion", 12.0) == "never heard"
+    straight = Intake()
+    say(straight, "joint_states", JointState(), 10.0)
+    assert straight.heard.ages.text("joints", 10.0) == "fresh"
+    assert all(each.topic != "link/status" for each in straight.inputs)
+
+
+def test_the_page_says_what_a_lost_operator_means_and_what_became_of_commands() -> None:
+    intake = Intake(linked=True)
+    values = {"state_age": "0.3", "fast_channel": "false", "last_command": "goal_pose: done, 1 s ago"}
+    say(intake, "link/status", status(when_lost="go_on", lost_after="10", **values), 0.0)
+    assert intake.heard.link is not None
+    state, lost, command = intake.heard.link.lines()
+    assert "the robot is heard" in state and "0.3 s old" in state and "closed" in state
+    assert "goes on to its end" in lost and "goal_pose: done" in command
+    say(intake, "link/status", status(when_lost="stop", lost_after="7", **values), 0.0)
+    assert "stopped 7 s after" in intake.heard.link.lines()[1]

@@ -1,0 +1,92 @@
+"""A node's life, time and arguments, in a process that has no robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from harness.instance import RunningInstance
+from valor.common.errors import ConfigurationError
+from valor.common.instance import Settings
+from valor.ros.node import ProcessNode, RosSide
+
+
+@pytest.fixture
+def settings(instance: RunningInstance) -> Settings:
+    return instance.settings
+
+
+def joined(settings: Settings, *arguments: str, variant: str = "simulation", **options: object) -> RosSide:
+    changed = Settings(robot=Path("escher"), ros_domain_id=settings.ros_domain_id, variant=variant)  # type: ignore[arg-type]
+    return RosSide("somebody", changed, {}, arguments, **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def side(settings: Settings) -> Iterator[RosSide]:
+    made = joined(settings, node=lambda name, context: ProcessNode(name, context, True))
+    yield made
+    made.close()
+
+
+def test_whoever_knows_robot_time_shows_it_and_hears_no_clock(side: RosSide) -> None:
+    side.node.tell_time(1_500_000_000)
+    assert side.node.get_clock().now().nanoseconds == 1_500_000_000
+    assert not side.node.count_subscribers("/clock")
+
+
+@pytest.mark.parametrize(
+    ("variant", "arguments", "expected"),
+    [
+        ("simulation", (), True),
+        ("hardware", (), False),
+        ("simulation", ("--ros-args", "-p", "use_sim_time:=false"), False),
+        ("hardware", ("--ros-args", "-p", "use_sim_time:=true"), True),
+    ],
+)
+def test_sim_time_is_that_of_the_variant_unless_an_argument_says_otherwise(
+    settings: Settings, variant: str, arguments: tuple[str, ...], expected: bool
+) -> None:
+    side = joined(settings, *arguments, variant=variant)
+    try:
+        assert side.node.get_parameter("use_sim_time").value is expected
+    finally:
+        side.close()
+
+
+@pytest.mark.parametrize("arguments", [("faster",), ("--ros-args", "-r", "::"), ("--ros-args", "--nonsense")])
+def test_other_arguments_are_refused_by_name(settings: Settings, arguments: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigurationError, match=arguments[-1]):
+        joined(settings, *arguments)
+
+
+def test_a_node_is_active_while_it_can_work_and_finalized_at_the_end(settings: Settings) -> None:
+    states: list[str] = []
+
+    class Watched(ProcessNode):
+        def on_configure(self, state: object) -> object:
+            states.append("configured")
+            return super().on_configure(state)
+
+        def on_activate(self, state: object) -> object:
+            states.append("activated")
+            return super().on_activate(state)
+
+        def on_deactivate(self, state: object) -> object:
+            states.append("deactivated")
+            return super().on_deactivate(state)
+
+        def on_shutdown(self, state: object) -> object:
+            states.append("shut down")
+            return super().on_shutdown(state)
+
+    side = joined(settings, node=Watched)
+    side.life.configured()
+    side.attend()
+    assert states == ["configured"]
+    for ready in (True, True, False, True):
+        side.life.tell(ready, "something")
+        side.attend()
+    side.close()
+    assert states == ["configured", "activated", "deactivated", "activated", "deactivated", "shut down"]

@@ -1,0 +1,48 @@
+"""Arms that go by position, with friction and play: they end where they are told, and what they are is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.closed_loop import load_robot
+from harness.manipulating_robot import ManipulatingRobot
+from valor.simulation.gears import Gears
+
+NEAR = np.array((0.4, -0.3, 0.2))  # a place of the right hand in pelvis [m]
+
+
+@pytest.fixture(scope="module")
+def worn() -> ManipulatingRobot:
+    """The arms as they were, a weight of 3 kg at each hand."""
+    return ManipulatingRobot(load_robot(), "hdt_arms", seed=0, load=3.0)
+
+
+def test_the_arms_are_found_to_go_by_position_and_their_play_is_measured(worn: ManipulatingRobot) -> None:
+    servos = worn.manager.parts.servos
+    gears = Gears.of(worn.robot, worn.robot.tables.actuators["hdt_arms"])
+    assert (servos.share < 0.1).all()
+    loaded = servos.play > 0.0
+    assert loaded.sum() >= 4
+    np.testing.assert_allclose(servos.play[loaded], gears.half_backlash[servos.joints][loaded], atol=0.006)
+
+
+def test_a_hand_with_a_load_ends_where_it_is_told_and_knows_how_far_off_it_is(worn: ManipulatingRobot) -> None:
+    goal = worn.in_odom(NEAR, np.eye(3))
+    worn.send(1, *goal)
+    goals = worn.manager.parts.hand_goals
+    assert worn.run_until(lambda: goals.status(1, 0).state == "reached", 8.0), goals.status(1, 0)
+    worn.run(0.5)
+    off = float(np.linalg.norm(worn.hand(1)[0] - goal[0]))
+    assert off < 0.012
+    assert abs(off - goals.status(1, 0).position_error) < 0.006
+    arm = worn.robot.group_indices("right_arm")
+    lag = worn.plant.joint_position[arm] - worn.manager.parts.reference.position[arm]
+    assert np.abs(lag).max() < 0.012
+
+
+def test_a_motor_that_takes_effort_is_left_to_it() -> None:
+    robot = ManipulatingRobot(load_robot(), "hardware", seed=0)
+    servos = robot.manager.parts.servos
+    assert (servos.share > 0.9).all()
+    assert (np.abs(servos.offset) < 0.02).all()

@@ -1,0 +1,1 @@
+"""Films of a robot: what a bag says, drawn picture by picture."""

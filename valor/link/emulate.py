@@ -1,0 +1,154 @@
+"""A bad link between the two ends, as a program: ``python -m valor.link.emulate --to 8480 --listen 9000``.
+
+The operator's end sends to ``--listen`` (slow channel) and the port after it (fast), which go on to ``--to`` and the
+port after it, and back, as badly as asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import itertools
+import selectors
+import socket
+import threading
+import time
+
+from valor.link.emulator import DRC_FAST, DRC_SLOW, Bandwidth, Conditions, Line
+from valor.link.schedule import Windows, drc_windows, random_windows
+
+HOST = "127.0.0.1"
+LONGEST = 65536
+_Flight = tuple[float, int, socket.socket, tuple[str, int], bytes]
+
+
+class Emulator:
+    """Carries datagrams between ports of this computer, in a thread of its own.
+
+    Attributes:
+        listening: port where the operator's end finds the slow channel; the fast one is the next.
+        lines: of the slow channel, to the robot and from it, then of the fast one.
+        cut: while true nothing passes.
+        to: ports of the robot's end; 0: it is not there yet.
+    """
+
+    def __init__(
+        self,
+        to: tuple[int, int],
+        slow: Conditions,
+        fast: Conditions,
+        *,
+        windows: Windows = (),
+        seed: int = 0,
+        listen: int = 0,
+    ) -> None:
+        """Begin.
+
+        Args:
+            to: ports of the robot's end.
+            slow: of the slow channel, either way; both ways share the bandwidth.
+            fast: of the fast one.
+            windows: when the fast one is there, from now on [s].
+            seed: of all that is random.
+            listen: port of the slow channel; 0: any that is free, and the next one, too.
+        """
+        self.to = to
+        self._doors = _doors(listen)
+        self._backs = [_door(0) for _ in to]
+        self.listening = int(self._doors[0].getsockname()[1])
+        shared = Bandwidth(slow)
+        self.lines = [
+            Line(slow, seed, None, shared), Line(slow, seed + 1, None, shared),
+            Line(fast, seed + 2, windows), Line(fast, seed + 3, windows),
+        ]  # fmt: skip
+        self.cut = False
+        self._callers: dict[int, tuple[str, int]] = {}
+        self._flying: list[_Flight] = []
+        self._order = itertools.count()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._carry, name="emulator", daemon=True)
+        self._thread.start()
+
+    def _carry(self) -> None:
+        began = time.monotonic()
+        with selectors.DefaultSelector() as selector:
+            for channel in (0, 1):
+                selector.register(self._doors[channel], selectors.EVENT_READ, (channel, True))
+                selector.register(self._backs[channel], selectors.EVENT_READ, (channel, False))
+            while not self._closing.is_set():
+                due = self._flying[0][0] - time.monotonic() if self._flying else 0.1
+                for key, _ in selector.select(min(max(due, 0.0), 0.1)):
+                    channel, to_robot = key.data
+                    self._take(channel, to_robot, time.monotonic(), began)
+                while self._flying and self._flying[0][0] <= time.monotonic():
+                    _, _, door, address, data = heapq.heappop(self._flying)
+                    door.sendto(data, address)
+
+    def _take(self, channel: int, to_robot: bool, now: float, began: float) -> None:
+        try:
+            data, address = (self._doors if to_robot else self._backs)[channel].recvfrom(LONGEST)
+        except OSError:
+            return
+        if to_robot and not self.to[channel]:
+            return
+        if to_robot:
+            self._callers[channel] = address
+            door, there = self._backs[channel], (HOST, self.to[channel])
+        elif channel in self._callers:
+            door, there = self._doors[channel], self._callers[channel]
+        else:
+            return
+        for arrival in self.lines[2 * channel + (not to_robot)].put(len(data), now - began) if not self.cut else ():
+            heapq.heappush(self._flying, (began + arrival, next(self._order), door, there, data))
+
+    def close(self) -> None:
+        """Carry nothing any more."""
+        self._closing.set()
+        self._thread.join()
+        for each in (*self._doors, *self._backs):
+            each.close()
+
+
+def _doors(port: int) -> list[socket.socket]:
+    """Two with neighbouring ports."""
+    for _ in range(50):
+        first = _door(port)
+        try:
+            return [first, _door(first.getsockname()[1] + 1)]
+        except OSError:
+            first.close()
+            if port:
+                raise
+    raise OSError("no two free ports side by side")
+
+
+def _door(port: int) -> socket.socket:
+    door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    door.setblocking(False)
+    door.bind((HOST, port))
+    return door
+
+
+def main() -> None:
+    """Until interrupted."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--listen", type=int, required=True, help="the operator's end sends here, and to the next one")
+    parser.add_argument("--to", type=int, required=True, help="the robot's end listens here, and on the next one")
+    parser.add_argument("--seed", type=int, help="of what is random, and of blackouts in place of DARPA's example")
+    for name in ("bandwidth", "delay", "jitter", "loss", "duplication", "reordering"):
+        default = getattr(DRC_SLOW, name)
+        parser.add_argument(f"--{name}", type=float, default=default, help=f"of the slow channel [{default}]")
+    asked = vars(parser.parse_args())
+    listen, to, seed = asked.pop("listen"), asked.pop("to"), asked.pop("seed")
+    windows = drc_windows() if seed is None else random_windows(seed, 24 * 3600.0)
+    emulator = Emulator((to, to + 1), Conditions(**asked), DRC_FAST, windows=windows, seed=seed or 0, listen=listen)
+    try:
+        while True:
+            time.sleep(1.0)
+            print("  ".join(f"{line.passed} B passed, {line.lost} lost" for line in emulator.lines), flush=True)
+    except KeyboardInterrupt:
+        emulator.close()
+
+
+if __name__ == "__main__":
+    main()

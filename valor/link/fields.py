@@ -1,0 +1,118 @@
+"""Every field of the state on the link: what it is, its range, how far from the truth it may arrive.
+
+A field is quantised to ``step``, so that it arrives within half a step; outside of its range it is clamped, and flagged.
+The fields of a group share one statistic, chosen anew for every frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from valor.common.behaviors import REFLEX, Behavior, ControlMode
+from valor.robot.description import RobotDescription
+
+UNKNOWN = "unknown"
+MODES = (UNKNOWN, *ControlMode)
+BEHAVIORS = (UNKNOWN, REFLEX, *Behavior)
+JOINT_MARGIN = 0.15  # beyond robot.yaml's limits, to which joints give way under load [rad]
+COMPONENT = 0.70711  # of a quaternion: the largest that the second largest can be
+
+
+@dataclass(frozen=True)
+class Field:
+    """One line of the table: ``size`` values, each from ``low`` to ``high``."""
+
+    name: str
+    size: int
+    low: float
+    high: float
+    step: float
+    unit: str
+    group: str
+    description: str
+
+    @property
+    def bound(self) -> float:
+        """How far from what was measured it arrives at most, within its range."""
+        return self.step / 2
+
+
+# fmt: off
+FIELDS: tuple[Field, ...] = (
+    #     name                size   low        high     step    unit   group       description
+    Field("clock",               1,  0,         2**36,   1,      "ms",  "time",     "of the link's robot end, when it sent this; monotonic"),
+    Field("stamp",               1,  0,         2**36,   1,      "ms",  "time",     "robot time of joints and base"),
+    Field("base_position",       3, -200.0,     200.0,   0.004,  "m",   "base",     "pelvis in odom, estimated"),
+    Field("base_orientation",    3, -COMPONENT, COMPONENT, 0.0005, "",  "base",     "its quaternion without the largest component, which is positive"),
+    Field("base_largest",        1,  0,         3,       1,      "",    "status",   "which component (w, x, y, z) that is"),
+    Field("base_velocity",       3, -3.0,       3.0,     0.02,   "m/s", "velocity", "in the pelvis' axes"),
+    Field("base_turn",           3, -6.0,       6.0,     0.04,   "rad/s", "velocity", "in the pelvis' axes"),
+    Field("foot_forces",         6, -1500.0,    3000.0,  10.0,   "N",   "forces",   "left, right; in the soles"),
+    Field("foot_torques",        6, -400.0,     400.0,   4.0,    "N·m", "forces",   "left, right; in the soles"),
+    Field("mode",                1,  0,   len(MODES) - 1, 1,     "",    "status",   "the control mode"),
+    Field("requested_mode",      1,  0,   len(MODES) - 1, 1,     "",    "status",   "the one asked for"),
+    Field("mode_status",         1,  0,         8191,    1,      "",    "status",   "flags of ControlModeStatus"),
+    Field("mode_age",            1,  0,         12.8,    0.05,   "s",   "ages",     "since the mode was last heard"),
+    Field("behavior",            1,  0, len(BEHAVIORS) - 1, 1,   "",    "status",   "of the Motion Manager"),
+    Field("behavior_age",        1,  0,         12.8,    0.05,   "s",   "ages",     "since it was last heard"),
+    Field("contacts",            1,  0,         3,       1,      "",    "status",   "1: left foot, 2: right foot"),
+    Field("fault_level",         1,  0,         3,       1,      "",    "status",   "of robot_status: ok, warn, error, stale"),
+    Field("faults",              1,  0,         255,     1,      "",    "status",   "how many diagnostics are worse than ok"),
+    Field("step",                1, -1,         1023,    1,      "",    "status",   "of the plan that executes; -1: none"),
+)
+# fmt: on
+BY_NAME = {field.name: field for field in FIELDS}
+JOINT_STEP = 0.002  # [rad]
+
+
+ENDLESS = 200.0  # so far either way does a joint without limits count [rad]
+
+
+def joint_fields(robot: RobotDescription) -> tuple[Field, ...]:
+    """One a joint, in robot.yaml's order, in the groups in which robot.yaml has them."""
+    groups = {joint: name for name in robot.tables.groups for joint in robot.tables.group(name)}
+    lower = np.where(np.isfinite(robot.lower), robot.lower - JOINT_MARGIN, -ENDLESS)
+    upper = np.where(np.isfinite(robot.upper), robot.upper + JOINT_MARGIN, ENDLESS)
+    return tuple(
+        Field(name, 1, float(low), float(high), JOINT_STEP, "rad", groups.get(name, "joints"), "position")
+        for name, low, high in zip(robot.joints, lower, upper, strict=True)
+    )
+
+
+class Layout:
+    """The table for one robot, as vectors over all values, joints last.
+
+    Attributes:
+        size: N, of the vectors.
+        low: (N,) least values.
+        high: (N,) greatest values, on the grid of steps.
+        step: (N,).
+        levels: of each, how many numbers there are.
+        groups: of each group, the places in the vectors.
+        places: of each field and joint, where it stands.
+        fields: of each field.
+        joints: where the joints stand.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        joints = joint_fields(robot)
+        fields = (*FIELDS, *joints)
+        self.joint_names = tuple(field.name for field in joints)
+        self.step = np.array([field.step for field in fields for _ in range(field.size)])
+        self.low = np.array([field.low for field in fields for _ in range(field.size)])
+        high = np.array([field.high for field in fields for _ in range(field.size)])
+        counts = np.ceil((high - self.low) / self.step - 1e-9).astype(int) + 1
+        self.high = self.low + (counts - 1) * self.step
+        self.levels: list[int] = counts.tolist()
+        self.size = len(self.levels)
+        self.places: dict[str, slice] = {}
+        self.groups: dict[str, list[int]] = {}
+        place = 0
+        for field in fields:
+            self.places[field.name] = slice(place, place + field.size)
+            self.groups.setdefault(field.group, []).extend(range(place, place + field.size))
+            place += field.size
+        self.joints = slice(self.size - len(joints), self.size)
+        self.fields = {field.name: self.places[field.name] for field in FIELDS}

@@ -1,0 +1,27 @@
+"""An end of an instance's link: its keys are Bifrost's, its words must be those of the same robot."""
+
+from __future__ import annotations
+
+from valor.common import membership
+from valor.common.errors import ConfigurationError
+from valor.common.instance import Instance
+from valor.common.linking import NAMES
+from valor.link.fields import FIELDS
+from valor.link.session import Session, fingerprint, shared_secret
+from valor.robot.description import RobotDescription
+
+
+def session(instance: Instance, name: str, robot: RobotDescription) -> Session:
+    """Of the end that is the process ``name``.
+
+    Raises:
+        ConfigurationError: the instance's network has no keys of both ends.
+    """
+    network = membership.network(instance, name)
+    other = NAMES[1 - NAMES.index(name)]
+    public = network.grants.owners.get(other)
+    if public is None or network.own is None:
+        raise ConfigurationError(f"{instance.network_file}: no key of {other}; `valorctl up --link DOMAIN` issues it")
+    secret = shared_secret(network.own.secret, public.encode())
+    print_ = fingerprint(repr(FIELDS).encode(), robot.file.read_bytes(), robot.model_file.read_bytes())
+    return Session(secret, name == NAMES[0], print_)

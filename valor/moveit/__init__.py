@@ -1,0 +1,1 @@
+"""A robot's configuration for MoveIt, out of its folder."""

@@ -1,0 +1,1 @@
+"""What the ROS side's processes share: node, life, log, parameters; types by their names, and the QoS that suits."""
