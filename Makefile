@@ -17,7 +17,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-clients test-quick test-pythons soak reliability fuzz lint docs tables bench gallery robots mutants lock dist clean known-python
+.PHONY: setup demo test test-clients test-quick test-again test-pythons soak reliability fuzz lint docs tables bench gallery robots mutants lock dist clean known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -91,21 +91,28 @@ BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsu
 CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk experiments \
   installed legs_alone link link_ends operator_commands operator_page operator_beyond operator_recorded operator_viewers hosts hosts_link \
   hosts_robot other_computers two_robots) $(patsubst %,vrc/test_%.py,moveit nodes other_dds))
-TESTS := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
+# Each run in a folder of its own remembers what failed, for test-again.
+REMEMBERED := $(VENV)/pytest
+QUICK := $(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance
 test: $(STAMP) lint
-	@{ status=0; $(TESTS) -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance || status=1; \
-	$(TESTS) $(BESIDE) || status=1; exit $$status; } >build/tests.log 2>&1 & rest=$$!; status=0; \
-	$(TESTS) tests/integration $(addprefix --ignore ,$(BESIDE) $(CLIENTS)) || status=1; \
+	@{ status=0; $(QUICK) || status=1; \
+	$(PYTEST) -o cache_dir=$(REMEMBERED)/beside $(BESIDE) || status=1; exit $$status; } >build/tests.log 2>&1 & rest=$$!; status=0; \
+	$(PYTEST) -o cache_dir=$(REMEMBERED)/robot tests/integration $(addprefix --ignore ,$(BESIDE) $(CLIENTS)) || status=1; \
 	wait $$rest || status=1; \
 	cat build/tests.log; exit $$status
 
 # Before tools that nobody here wrote; those that need a browser are skipped where there is no Chromium.
 test-clients: $(STAMP) $(STOCK)
-	$(TESTS) $(CLIENTS)
+	$(PYTEST) -o cache_dir=$(REMEMBERED)/clients $(CLIENTS)
 
 # Those alone that need no whole robot.
 test-quick: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal tests/unit tests/conformance tests/bifrost
+	$(QUICK)
+
+# Those alone that failed when they were last run by one of the above.
+test-again: $(STAMP)
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 .ci/again $(BIN)/python $(REMEMBERED)
 
 # Lint and the quick tests on every other Python that is found here.
 test-pythons: $(STAMP)

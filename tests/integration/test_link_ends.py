@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,6 +19,7 @@ from valor.common import membership
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ModeStatus
 from valor.common.table import checked
+from valor.link.classes import BY_KIND, Kind
 from valor.valorctl.ros_domain import daemon_ports, reserve, reserve_for
 
 MODES = "mode_controllers/control_mode_controller/change_control_mode"
@@ -167,13 +169,21 @@ def test_a_stop_is_one_message_and_comes_once(sides: tuple[Robot, RosClient, Ros
     stops: list[Any] = []
     beside._call(beside.node.create_subscription, Empty, "flor/controller/soft_stop", stops.append, 10)
     publisher = operator._call(operator.node.create_publisher, Empty, "flor/controller/soft_stop", 1)
-    wait_until(lambda: publisher.get_subscription_count() and beside.node.count_publishers("flor/controller/soft_stop"),
-               30.0, "both ends")  # fmt: skip
-    publisher.publish(Empty())
-    wait_until(lambda: len(stops) == 1, 30.0, "the stop")
-    publisher.publish(Empty())
-    wait_until(lambda: len(stops) >= 2, 30.0, "another")
-    assert len(stops) == 2
+
+    def arrives() -> bool:
+        """Whether one comes through; one that comes before all have found each other has nobody to come to."""
+        publisher.publish(Empty())
+        until = time.monotonic() + deadline
+        wait_until(lambda: stops or time.monotonic() > until, deadline, "the stop, or its deadline")
+        return bool(stops)
+
+    deadline = BY_KIND[Kind.STOP].deadline
+    assert deadline is not None
+    wait_until(arrives, 6 * deadline, "a stop to come through")
+    for expected in (2, 3):
+        publisher.publish(Empty())
+        wait_until(lambda expected=expected: len(stops) >= expected, 30.0, "another")  # type: ignore[misc]
+        assert len(stops) == expected
 
 
 def test_how_a_plan_and_a_hand_fare_is_told_as_there(sides: tuple[Robot, RosClient, RosClient]) -> None:

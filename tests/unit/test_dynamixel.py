@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import threading
 import time
 import tty
@@ -289,8 +290,8 @@ def test_a_line_that_takes_nothing_has_servos_that_do_not_answer() -> None:
     os.set_blocking(driver_end, False)
     os.set_blocking(device, False)
     port = DynamixelPort(os.ttyname(driver_end), 3000000)
-    with pytest.raises(BlockingIOError):
-        while True:
+    while select.select([], [driver_end], [], 0.2)[1]:  # the kernel passes on what it has, in its own time
+        with contextlib.suppress(BlockingIOError):
             os.write(driver_end, bytes(1000))
     with pytest.raises(DynamixelError, match="servo 1: ping"):
         port.ping(1)
