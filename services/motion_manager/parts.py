@@ -174,7 +174,7 @@ class Parts:
             hand_contacts=self.hand_contacts.contacts,
             left_arm=self._led_by(0),
             right_arm=self._led_by(1),
-            joint_setpoint=self.command.position,
+            joint_setpoint=self.command.wanted,
             pelvis_setpoint=pelvis.position,
             pelvis_in_support=pelvis.measured(state) if state else _ZEROS,
             desired_foot_forces=command.desired_foot_forces if command else _ZEROS[:2],

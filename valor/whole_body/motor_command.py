@@ -43,6 +43,7 @@ class MotorCommand:
         impedance: which are driven by impedance.
         saturations: joint commands at or beyond an effort limit, since start.
         replaced: commands that were not finite and were replaced by the last good one, since start.
+        wanted: where joints shall be: ``position`` without what makes up for what their servos leave undone [rad].
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -66,13 +67,14 @@ class MotorCommand:
         )
         self._limp = Drive(self._modes(force, force, off), nothing, np.where(self._compliant, damping, 0.0))
         self._zeros = nothing
-        self._wanted, self._checked, self._checks = np.zeros((5, n)), np.zeros((3, n)), np.zeros(2)
-        self._check = Kernel("command", self._expressions, (self._wanted,), (self._checked, self._checks))
+        self._asked, self._checked, self._checks = np.zeros((6, n)), np.zeros((4, n)), np.zeros(2)
+        self._check = Kernel("command", self._expressions, (self._asked,), (self._checked, self._checks))
         self.saturations = 0
         self.replaced = 0
         self.drive = self._limp
         self.velocity = self.effort = nothing
         self.position: FloatArray = self._limits.position_within(nothing)
+        self.wanted = self.position
 
     def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
         """(n,) one mode for each way that joints are driven in operation."""
@@ -99,6 +101,8 @@ class MotorCommand:
         velocity: FloatArray,
         effort: FloatArray,
         share: float,
+        *,
+        offsets: FloatArray | None = None,
     ) -> None:
         """The Whole-Body Controller's command, which takes over from ``hold`` bit by bit.
 
@@ -110,8 +114,10 @@ class MotorCommand:
             velocity: (n,) likewise [rad/s].
             effort: (n,) likewise [N·m].
             share: of the Whole-Body Controller, 0 to 1.
+            offsets: (n,) to the Whole-Body Controller's set-points, that make up for the servos [rad]; None: none.
         """
         drive = self._operation
+        offsets = self._zeros if offsets is None else offsets
         led_position, led_velocity, compliant_effort = command.position, command.velocity, command.effort
         if share < 1.0:
             rest = 1.0 - share
@@ -124,7 +130,8 @@ class MotorCommand:
             led_position = np.where(self.force, position, share * command.position + rest * position)
             led_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
             compliant_effort = share * command.effort + rest * effort
-        self._set(drive, position, velocity, compliant_effort, (led_position, led_velocity))
+            offsets = share * offsets
+        self._set(drive, position, velocity, compliant_effort, (led_position, led_velocity, offsets))
 
     def repeat(self) -> None:
         """The last command once more, at rest and with damping: for a period without a better one."""
@@ -138,7 +145,7 @@ class MotorCommand:
         position: FloatArray,
         velocity: FloatArray,
         effort: FloatArray,
-        led: tuple[FloatArray, FloatArray] | None = None,
+        led: tuple[FloatArray, FloatArray, FloatArray] | None = None,
     ) -> None:
         """Take a command if it is finite, within the limits of positions and efforts; else repeat the last.
 
@@ -147,9 +154,10 @@ class MotorCommand:
             position: (n,) [rad].
             velocity: (n,) [rad/s].
             effort: (n,) of compliant joints; of the others unused [N·m].
-            led: (n,) position and velocity of the joints that the Whole-Body Controller leads; None: as the others.
+            led: (n,) position, velocity and offset of joints that the Whole-Body Controller leads; None: as the others.
         """
-        np.concatenate((position, velocity, effort, *(led or (position, velocity))), out=self._wanted.reshape(-1))
+        led = led or (position, velocity, self._zeros)
+        np.concatenate((position, velocity, effort, *led), out=self._asked.reshape(-1))
         self._check()
         squares, beyond = self._checks.tolist()
         if not math.isfinite(squares):
@@ -158,21 +166,23 @@ class MotorCommand:
             return
         self.saturations += int(beyond)
         self.drive = drive
-        self.position, self.velocity, self.effort = self._checked.copy()
+        self.position, self.velocity, self.effort, self.wanted = self._checked.copy()
 
-    def _expressions(self, wanted: Expression) -> Sequence[Expression]:
-        """(3, n) limited positions, velocities and limited efforts; (2,) the squares of all, and efforts at a limit."""
-        position, velocity, effort, *led = (wanted[i, :] for i in range(5))
+    def _expressions(self, asked: Expression) -> Sequence[Expression]:
+        """(4, n) ``position``, ``velocity``, ``effort``, ``wanted``; (2,) squares of all, and efforts at a limit."""
+        position, velocity, effort, *led, offsets = (asked[i, :] for i in range(6))
         joints = np.flatnonzero(self._led).tolist()
         position[joints], velocity[joints] = led[0][joints], led[1][joints]
-        squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort)  # of what is wanted: no limit hides one
+        # Of what is asked for: no limit hides one.
+        squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort) + ca.sumsqr(offsets)
         compliant = np.flatnonzero(self._compliant).tolist()
         limit = ca.DM(self._limits.effort).T[compliant]
         limited = ca.SX(1, effort.shape[1])
         limited[compliant] = clipped(effort[compliant], -limit, limit)
-        position = clipped(position, ca.DM(self._limits.lower).T, ca.DM(self._limits.upper).T)
+        lower, upper = ca.DM(self._limits.lower).T, ca.DM(self._limits.upper).T
+        told, wanted = clipped(position + offsets, lower, upper), clipped(position, lower, upper)
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
-        return ca.vertcat(position, velocity, limited), ca.vertcat(squares, beyond)
+        return ca.vertcat(told, velocity, limited, wanted), ca.vertcat(squares, beyond)
 
     def message(self, time: int, sequence: int, proprioceptor_sequence: int, behavior: str) -> Motor:
         """The command as a Motor, made in a behavior."""

@@ -24,6 +24,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
 from valor.motion_manager.joints.drives import Drives
 from valor.robot.description import RobotDescription
@@ -73,7 +74,7 @@ class ServoCompensation:
         self._flat = self._seen.reshape(-1)
         self._hands = np.zeros((2, m))
         self.load, self.pressing = self._hands
-        self.offset = np.zeros(m)
+        self.offset, self._told = np.zeros(m), np.zeros(len(robot.joints))
         self._dt = np.zeros(2)
         self._since = 0.0  # the offset was found [s]
         if m:
@@ -89,21 +90,25 @@ class ServoCompensation:
         """Balance begins: what was missing then may be no more; what was found of the gears is kept."""
         self.integral[:] = 0.0
 
-    def apply(self, state: RobotState, command: WholeBodyCommand, dt: float, *, whole: bool) -> None:
-        """Move the set-points of a command; before it is sent.
+    def offsets(self, state: RobotState, command: WholeBodyCommand, dt: float, *, whole: bool) -> FloatArray:
+        """By how much a command's set-points are to be moved; before it is sent.
 
         Args:
             state: the estimate.
-            command: written to its ``position``.
+            command: of the Whole-Body Controller.
             dt: since the last period [s].
             whole: whether the Whole-Body Controller alone had the joints in the last period.
+
+        Returns:
+            (n,) p − p_wanted, 0 of joints that are not compensated [rad]; valid until the next period.
         """
         if not self.joints.size:
-            return
+            return self._told
         self._since += dt
         if self._since >= PERIOD:
             self._find(state, command, whole=whole)
-        command.position[self._places] += self.offset
+            self._told[self._places] = self.offset
+        return self._told
 
     def _find(self, state: RobotState, command: WholeBodyCommand, *, whole: bool) -> None:
         """The offset of the periods to come."""

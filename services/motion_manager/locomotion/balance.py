@@ -82,9 +82,9 @@ class BalanceControl:
             state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt
         )
         share = min(1.0, (now - self._blend_began) / BLEND)
-        self._servos.apply(state, command, dt, whole=share >= 1.0)
+        offsets = self._servos.offsets(state, command, dt, whole=share >= 1.0)
         effort = self._posture.effort(now) if share < 1.0 else self._no_effort  # by then it counts no more
-        self._motors.balance(command, reference.position, reference.velocity, effort, share)
+        self._motors.balance(command, reference.position, reference.velocity, effort, share, offsets=offsets)
         self._failures = self._failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0
         if self._failures >= self._most_failures and self._fsm.may_go(Behavior.SOFT_STOP):
             self._fsm.go(Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._failures} periods in a row")

@@ -46,3 +46,20 @@ def test_a_motor_that_takes_effort_is_left_to_it() -> None:
     servos = robot.manager.parts.servos
     assert (servos.share > 0.9).all()
     assert (np.abs(servos.offset) < 0.02).all()
+
+
+def test_what_is_said_to_be_wanted_is_the_set_point_and_not_what_makes_up_for_the_play(worn: ManipulatingRobot) -> None:
+    """Whoever takes an arm over begins with what is said: with the offset in it the arm would move."""
+    parts = worn.manager.parts
+    arm = worn.robot.group_indices("right_arm")
+    worn.run(1.0)
+    assert np.abs(parts.servos.offset).max() > 0.03
+    said = parts.report(0, motor_time=0.0, tick_time=0.0).joint_setpoint
+    np.testing.assert_allclose(said[arm], parts.reference.position[arm], atol=0.005)
+    parts.hand_goals.release(1, "over")
+    before = worn.plant.joint_position[arm]
+    for _ in range(3):
+        said = parts.report(0, motor_time=0.0, tick_time=0.0).joint_setpoint
+        worn.follow(arm, said[arm])
+        worn.run(0.5)
+    np.testing.assert_allclose(worn.plant.joint_position[arm], before, atol=0.01)

@@ -32,7 +32,7 @@ class MotionState(Message):
     hand_contacts: Uint8Array  # (2,) left, right hand: 1 in contact, by the force that it feels
     left_arm: str  # who leads it: nobody, setpoints, hand_goal
     right_arm: str
-    joint_setpoint: Float64Array  # (n,) positions commanded last [rad]; measured ones for joints driven by force alone
+    joint_setpoint: Float64Array  # (n,) wanted [rad]: none of what makes up for servos in it; measured if by force
     pelvis_setpoint: Float64Array  # (6,) commanded last, as in PelvisSetpoint
     pelvis_in_support: Float64Array  # (6,) estimated, likewise
     desired_foot_forces: Float64Array  # (2,) vertical, left and right, as the QP planned them [N]
