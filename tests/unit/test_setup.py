@@ -71,8 +71,10 @@ def test_other_pythons_are_tested_where_they_are_found_and_named_where_not(tmp_p
     )  # fmt: skip
     assert result.stdout.splitlines() == [
         f"Python 3.13: {tmp_path}/bin/python3.13",
-        "made",
+        "made",  # the tests, and
+        "made",  # those that failed once more
         f"Python 3.14: {tmp_path}/pyenv/versions/3.14.0/bin/python",
+        "made",
         "made",
         "not tested, as not found here with its headers: Python 3.12",
     ]
