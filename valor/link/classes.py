@@ -60,6 +60,18 @@ CLASSES: tuple[Class, ...] = (
 # fmt: on
 BY_KIND = {each.kind: each for each in CLASSES}
 
+
+class Bulk(IntEnum):
+    """What travels on the fast channel alone, as leftovers allow, the most urgent first.
+
+    Of another type than ``Kind``, so that nothing sends it on the channel that is always on.
+    """
+
+    PICTURE = 0  # the newest still picture: its window opens with it
+    LISTING = 1  # which bags there are
+    BAG = 2  # one that was asked for
+
+
 HEADERS = 28  # of IPv4 and UDP [B]
 ALWAYS_ON = 1200.0  # of both ways together [B/s]: 9,600 bit/s
 

@@ -13,3 +13,7 @@ class CodecError(LinkError):
 
 class SealError(LinkError):
     """A datagram that is not of this session, not whole, or has been here before."""
+
+
+class BulkError(LinkError):
+    """A thing of the fast channel that cannot be had, or kept; says which and why."""

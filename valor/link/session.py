@@ -2,7 +2,8 @@
 
 Both ends have a key pair (Curve25519, Bifrost's). Each says hello with a number of its own, drawn when it starts; when
 both numbers are known to be fresh, a key each way follows from them. So nothing that was sent before either end
-started can be opened. Datagrams are sealed with ChaCha20-Poly1305 (RFC 8439); their counter is the nonce.
+started can be opened. Datagrams are sealed with ChaCha20-Poly1305 (RFC 8439); their counter is the nonce. What must not
+push others out of the window of counters has keys and counters of its own (``keys``).
 
 On the wire: ``0`` for a hello that asks for one or ``2`` for an answer, the sender's number (16), the other end's as
 the sender knows it (16), fingerprint (8), BLAKE2b of these (16); or ``1``, counter (4), sealed records and tag (16).
@@ -76,6 +77,7 @@ class Session:
         self._secret, self._robot_end, self._print = secret, robot_end, print_
         self._own, self._other = secrets.token_bytes(NUMBER), bytes(NUMBER)
         self._keys: _Keys | None = None
+        self._begun: tuple[bytes, bytes] | None = None  # both ends' numbers, the robot's first
         self.number = 0
         self.strange = ""
 
@@ -119,10 +121,21 @@ class Session:
         return data[0] == ASKS
 
     def _derive(self) -> _Keys:
-        robot, operator = (self._own, self._other) if self._robot_end else (self._other, self._own)
-        both = hashlib.blake2b(robot + operator, key=self._secret, digest_size=64).digest()
+        self._begun = (self._own, self._other) if self._robot_end else (self._other, self._own)
+        return _Keys(*self.keys(b""))
+
+    def keys(self, purpose: bytes) -> tuple[ChaCha20Poly1305, ChaCha20Poly1305]:
+        """To send by and to receive by, of this session and for one purpose (at most 16 bytes) alone.
+
+        Raises:
+            SealError: there is no session.
+        """
+        if self._begun is None:
+            raise SealError("no session")
+        robot, operator = self._begun
+        both = hashlib.blake2b(robot + operator, key=self._secret, digest_size=64, person=purpose).digest()
         down, up = ChaCha20Poly1305(both[:32]), ChaCha20Poly1305(both[32:])
-        return _Keys(down, up) if self._robot_end else _Keys(up, down)
+        return (down, up) if self._robot_end else (up, down)
 
     @property
     def next_counter(self) -> int:
