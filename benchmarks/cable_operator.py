@@ -2,23 +2,31 @@
 
     python -m benchmarks.cable_operator HOME INSTANCE
 
-    mode NAME | velocity VX | arm ANGLE SECONDS | hand HEIGHT | steps INDEX COUNT | quit
+    mode NAME | velocity VX | arm ANGLE SECONDS | hand HEIGHT | steps INDEX COUNT
+    goal mode … | goal arm … | goal steps … | known | ends | quit
 
-Each line becomes one message on the topic that programs of others use; ``sent`` is printed once it is on its way.
+Each line becomes one message on the topic that programs of others use, or a goal of the action; ``sent`` is printed
+once it is on its way. ``known`` prints whether somebody listens, ``ends`` what is known of the goal sent last.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import rclpy
+from action_msgs.msg import GoalStatus
+from control_msgs.action import FollowJointTrajectory
 from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.action import ActionClient
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Foot, Step, StepPlan
+from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import VigirControlModeCommand
 
 from valor.common.instance import Instance
@@ -27,7 +35,11 @@ from valor.robot.description import RobotDescription
 ARM = "left_arm"
 HALF_WIDTH = 0.1  # from the middle to a sole [m]: ESCHER's
 HAND = (0.45, 0.3)  # ahead and to the left of the pelvis [m]
-LIMIT = 30.0  # until the robot's side is there [s]
+ENDED = {
+    GoalStatus.STATUS_SUCCEEDED: "succeeded",
+    GoalStatus.STATUS_CANCELED: "canceled",
+    GoalStatus.STATUS_ABORTED: "aborted",
+}
 
 
 class Operator:
@@ -54,10 +66,40 @@ class Operator:
             "hand": _hand,
             "steps": _steps,
         }
+        actions = {
+            "mode": (ChangeControlMode, "/mode_controllers/control_mode_controller/change_control_mode"),
+            "arm": (FollowJointTrajectory, f"/trajectory_controllers/{ARM}_traj_controller/follow_joint_trajectory"),
+            "steps": (ExecuteStepPlan, "/robot_controllers/footstep_controller/execute_step_plan"),
+        }
+        self._clients = {name: ActionClient(self._node, *action) for name, action in actions.items()}
+        self.ends = "nothing sent"
+        threading.Thread(target=rclpy.spin, args=(self._node,), daemon=True).start()
 
     def known(self) -> bool:
         """Whether somebody listens to all of it."""
-        return all(each.get_subscription_count() for each in self._publishers.values())
+        topics = all(each.get_subscription_count() for each in self._publishers.values())
+        return topics and all(each.server_is_ready() for each in self._clients.values())
+
+    def send_goal(self, what: str, *arguments: str) -> None:
+        """One goal; ``ends`` says what is known of it."""
+        made = self._makers[what](*arguments)
+        goals = {
+            "mode": lambda: ChangeControlMode.Goal(mode_request=made.requested_control_mode),
+            "arm": lambda: FollowJointTrajectory.Goal(trajectory=made),
+            "steps": lambda: ExecuteStepPlan.Goal(step_plan=made),
+        }
+        self.ends = "no answer"
+        self._clients[what].send_goal_async(goals[what]()).add_done_callback(self._answered)
+
+    def _answered(self, future: Any) -> None:
+        handle = future.result()
+        self.ends = "accepted" if handle.accepted else "rejected"
+        if handle.accepted:
+            handle.get_result_async().add_done_callback(self._ended)
+
+    def _ended(self, future: Any) -> None:
+        said = getattr(future.result().result, "error_string", "")
+        self.ends = f"{ENDED.get(future.result().status, 'unknown')} {said}".strip()
 
     def send(self, what: str, *arguments: str) -> None:
         """One message."""
@@ -66,7 +108,7 @@ class Operator:
     def _reach(self, angle: str, seconds: str) -> JointTrajectory:
         point = JointTrajectoryPoint(positions=[0.0] * len(self._arm))
         point.positions[-1] = float(angle)
-        point.positions[3] = -0.6
+        point.positions[3] = -0.4
         point.time_from_start.sec = int(float(seconds))
         return JointTrajectory(joint_names=self._arm, points=[point])
 
@@ -107,9 +149,14 @@ def main(home: str, name: str) -> None:
             break
         if line.strip() == "known":
             print(operator.known(), flush=True)
-            continue
-        operator.send(*line.split())
-        print("sent", flush=True)
+        elif line.strip() == "ends":
+            print(operator.ends, flush=True)
+        elif line.startswith("goal "):
+            operator.send_goal(*line.split()[1:])
+            print("sent", flush=True)
+        else:
+            operator.send(*line.split())
+            print("sent", flush=True)
     rclpy.shutdown()
 
 

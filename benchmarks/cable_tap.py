@@ -48,7 +48,9 @@ def main(home: str, name: str, file: str) -> None:
                 found = state.message
                 place = [float(each) for each in found.pelvis_position_in_odom]
                 setpoint = [round(float(each), 5) for each in found.joint_setpoint]
-                note("state", behavior=found.behavior, place=place, setpoint=setpoint, time=found.time)
+                _, x, y, _ = (float(each) for each in found.pelvis_orientation_in_odom)
+                upright = 1.0 - 2.0 * (x * x + y * y)  # cosine of its lean
+                note("state", behavior=found.behavior, place=place, upright=upright, setpoint=setpoint)
             time.sleep(PERIOD)
 
 

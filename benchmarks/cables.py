@@ -1,14 +1,24 @@
-"""Cables of a robot's hosts pulled and put back, in each behavior: what happens, what is obeyed, when all is ready.
+"""Cables of a robot's hosts pulled and put back, hosts without power, agents killed: what happens, what is obeyed.
 
-Three network namespaces stand for the hosts. Before the cable is out the robot is brought to a behavior; while it is
-out, an operator's ROS 2 program goes on sending: commands of one kind, the last at least 1.5 s before the cable is
-back (with shorter cuts: once, at its beginning). What of them the Motion Manager obeys once it is back, it obeys late.
+Three network namespaces stand for the hosts. Before the fault the robot is brought to a behavior; while it lasts an
+operator's ROS 2 program goes on sending: commands of one kind, the last at least 1.5 s before the fault ends (with
+shorter ones: once, at its beginning). What of them the Motion Manager obeys afterwards, it obeys late; what is 0.2 s
+old is in time.
 
-It ends with a table, a row a cut: the behavior when the cable is back and in the end, how long until every process is
-ready, what was sent, whether any of it was obeyed late, how far the pelvis moved, and whether the operator is obeyed
-again. A cut that fails ends it early, with the reason and the rows until then.
+    cable   the host's cable is out
+    power   its cable is out, all of its processes are killed; then ``valorctl host agent`` begins it again
+    agent   its agent alone is killed, and begun again
 
-    .venv/bin/python -m benchmarks.cables [--seconds 0.2 2 20] [--hosts motion perception operator] [--behaviors …]
+It ends with a table, a row a fault: the behavior when the fault ends and in the end, whether the robot stayed on its
+feet, how long until every process is ready, what was sent, whether any of it was obeyed late, what became of it for
+the client if it was an action's goal, how far the pelvis moved, and whether the operator is obeyed again. After a row
+that is not as it should be the robot is started anew. Exit status 0: all are as they should be.
+
+With ``--into FILE`` each row is appended there, and those that it has are not measured again: so the matrix can be had
+in pieces.
+
+    .venv/bin/python -m benchmarks.cables [--faults cable power agent] [--seconds 0.2 2 20]
+        [--hosts motion perception operator] [--behaviors …] [--into FILE] [--at-most 10]
 """
 
 from __future__ import annotations
@@ -18,111 +28,89 @@ import itertools
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
+import msgspec
 from rich.console import Console
 
+from benchmarks.cable_cases import CASES, Case
 from benchmarks.tables import Columns, table
 from harness.computers import ComputersError
 from harness.hosts import Hosts, hosts
-from valor.common.resources import robot_folder
-from valor.common.topics import HAND_GOAL, VELOCITY
-from valor.robot.description import RobotDescription
 from valor.valorctl.hosts.deployment import Deployment, deployment_file
 
 INSTANCE = "cables"
 NAMES = ("motion", "perception", "operator")
+FAULTS = ("cable", "power", "agent")
 HEALED = 90.0  # [s]
-STALE = 1.5  # at the least, of what is sent while the cable is out, once it is back [s]
+STALE = 1.5  # at the least, of what is sent while the fault lasts, once it is over [s]
 AFTER = 3.0  # looked at behind everything being ready [s]
 PERIOD = 0.1  # between velocities [s]
-ASIDE, BACK = 0.3, -0.3  # of the left arm's last joint, before and in the cut [rad]
-LOW, HIGH = 0.05, 0.2  # of the left hand over the pelvis, likewise [m]
-LATE_PLAN = 100  # index of the first step of the plan sent in the cut
+LOW = 0.25  # of a pelvis that has sunk: the robot is not on its feet [m]
+LEAN = 0.7  # cosine of an upright pelvis' lean
+LIMIT = 300.0  # of one fault, besides its length [s]
 
 
-@dataclass(frozen=True)
-class Case:
-    """A behavior, and who tells of what is sent while the cable is out that it was obeyed."""
+class Row(msgspec.Struct):
+    """What became of one fault."""
 
-    name: str
-    mode: str
-    begin: str  # the operator's line that begins it; empty: the mode is all
-    late: str  # the line sent while the cable is out
-    obeyed: Callable[[dict[str, Any]], bool]  # whether a tap's word shows that it was, or that it arrived
-    topic: str = ""  # on which it arrives at the Motion Manager, which may refuse it
-    repeated: bool = False
-
-
-_ROBOT = RobotDescription.load(robot_folder("escher"))
-_JOINT = _ROBOT.index[_ROBOT.tables.group("left_arm")[-1]]
-
-
-def _behavior(name: str) -> Callable[[dict[str, Any]], bool]:
-    return lambda event: event.get("behavior") == name
-
-
-def _arm(event: dict[str, Any]) -> bool:
-    return event["kind"] == "state" and float(event["setpoint"][_JOINT]) < 0.5 * BACK
-
-
-def _hand(event: dict[str, Any]) -> bool:
-    return bool(event["kind"] == "hand" and event["value"] == HIGH)
-
-
-def _late_step(event: dict[str, Any]) -> bool:
-    return bool(event["kind"] == "step" and event["value"] >= LATE_PLAN)
-
-
-def _late_velocity(event: dict[str, Any]) -> bool:
-    return bool(event["kind"] == "velocity" and event["value"] == 0.151)
-
-
-CASES = (
-    Case("standing", "stand", "", "mode stand_manipulate", _behavior("stand_manipulate")),
-    Case("walking", "walk", "velocity 0.15", "velocity 0.151", _late_velocity, VELOCITY.name, repeated=True),
-    Case("stepping", "step", "steps 0 12", f"steps {LATE_PLAN} 4", _late_step),
-    Case("trajectory", "stand_manipulate", f"arm {ASIDE} 6", f"arm {BACK} 3", _arm),
-    Case("hand goal", "stand_manipulate", f"hand {LOW}", f"hand {HIGH}", _hand, HAND_GOAL.name),
-    Case("frozen", "freeze", "", "mode stand_prep", _behavior("stand_prep")),
-)
-
-
-@dataclass
-class Row:
-    """What became of one cut."""
-
+    fault: str
     host: str
     case: str
     seconds: float
-    during: str  # behavior when the cable came back
-    end: str  # and in the end
-    ready: float  # after the cable was back [s]
-    sent: int
-    arrived: int  # signs at the Motion Manager of what was sent in the cut, behind its end
-    refused: int
-    moved: float  # of the pelvis, from the cable's return on [m]
-    again: str  # whether the operator is obeyed in the end
+    during: str = ""  # behavior when it was over
+    end: str = ""  # and in the end
+    fell: bool = True
+    ready: float = HEALED  # after it was over [s]
+    sent: int = 0
+    arrived: int = 0  # signs at the Motion Manager of what was sent, behind its end
+    refused: int = 0
+    known: str = ""  # what the client knows of its goal in the end
+    moved: float = 0.0  # of the pelvis, from the fault's end on [m]
+    again: str = ""  # whether the operator is obeyed in the end
+    load: float = 0.0
+
+    @property
+    def key(self) -> tuple[str, str, str, float]:
+        """Which fault this was."""
+        return self.fault, self.host, self.case, self.seconds
+
+    @property
+    def late(self) -> str:
+        """Whether anything was obeyed that was sent while the fault lasted."""
+        if self.arrived <= self.refused:
+            return "no"
+        return "in time" if self.seconds < STALE else f"yes ({self.arrived}, {self.refused} refused)"
+
+    @property
+    def good(self) -> bool:
+        """As it should be."""
+        return not self.fell and self.ready < HEALED and self.again == "yes" and not self.late.startswith("yes")
 
 
 COLUMNS: Columns[Row] = (
-    ("cable of", lambda row: row.host),
+    ("fault", lambda row: row.fault),
+    ("host", lambda row: row.host),
     ("behavior", lambda row: row.case),
-    ("out [s]", lambda row: f"{row.seconds:g}"),
+    ("[s]", lambda row: f"{row.seconds:g}"),
     ("then", lambda row: row.during),
     ("in the end", lambda row: row.end),
+    ("safe", lambda row: "no" if row.fell else "yes"),
     ("ready [s]", lambda row: f"{row.ready:.1f}"),
     ("sent", lambda row: str(row.sent)),
-    ("obeyed late", lambda row: "no" if row.arrived <= row.refused else f"yes ({row.arrived}, {row.refused} refused)"),
+    ("obeyed late", lambda row: row.late),
+    ("the client knows", lambda row: row.known),
     ("moved [mm]", lambda row: f"{1e3 * row.moved:.0f}"),
     ("obeys", lambda row: row.again),
+    ("load", lambda row: f"{row.load:.0f}"),
 )
 
 
@@ -167,8 +155,11 @@ class Bench:
             found = [json.loads(line) for line in file if line.endswith("\n")]
         return [each for each in found if each["at"] >= since]
 
-    def _state(self) -> dict[str, Any]:
-        return [each for each in self._events(time.time() - 5.0) if each["kind"] == "state"][-1]
+    def _states(self, since: float) -> list[dict[str, Any]]:
+        """At least one: waits for it."""
+        while not (found := [each for each in self._events(since) if each["kind"] == "state"]):
+            time.sleep(PERIOD)
+        return found
 
     def _mode(self, *modes: str) -> str:
         for mode in modes:
@@ -180,12 +171,13 @@ class Bench:
                 check=False,
             )
             if done.returncode:
-                return (done.stdout + done.stderr).strip().splitlines()[-1][:60]
+                return (done.stdout + done.stderr).strip().splitlines()[-1][:80]
         return "yes"
 
     def _stand(self) -> str:
         """From wherever the robot is; why not, else "yes"."""
-        stopped = self._state()["behavior"] in ("freeze", "stand_prep", "soft_stop", "idle")
+        now = self._states(time.time())[-1]["behavior"]
+        stopped = now in ("freeze", "stand_prep", "soft_stop", "idle")
         return self._mode(*(("stand_prep", "stand") if stopped else ("stand",)))
 
     def _keep(self, line: str, seconds: float, repeated: bool) -> int:
@@ -198,71 +190,154 @@ class Bench:
         time.sleep(max(0.0, end - time.monotonic()))
         return count
 
-    def cut(self, host: str, case: Case, seconds: float) -> Row:
-        """One cut."""
-        if case.mode != "stand":
-            self._mode(case.mode)
+    def _begin(self, fault: str, host: str) -> None:
+        if fault != "agent":
+            self._hosts.network.pull(host)  # nobody hears of it: without power nothing is closed
+        if fault == "power":
+            self._hosts.cut_power(host)
+        if fault == "agent":
+            self._hosts.kill_agent(host)
+
+    def _end(self, fault: str, host: str) -> None:
+        self._hosts.network.plug(host)
+        if fault != "cable":
+            self._hosts.start_agent(host)
+
+    def suffer(self, fault: str, host: str, case: Case, seconds: float) -> Row:
+        """One fault.
+
+        Raises:
+            ValueError: the robot did not come to the behavior.
+        """
+        row = Row(fault, host, case.name, seconds)
+        if (said := self._mode(case.mode)) != "yes":
+            raise ValueError(f"mode {case.mode}: {said}")
+        asked = time.time()
         if case.begin:
             self._keep(case.begin, 3.0, case.repeated)
-        self._hosts.network.pull(host)
-        began = time.monotonic()
-        sent = self._keep(case.late, max(0.0, seconds - STALE), case.repeated)
+        first = self._states(time.time())[-1]
+        if first["behavior"] != case.mode:
+            raise ValueError(f"behavior {first['behavior']}; expected {case.mode}")
+        if case.begun is not None and not any(map(case.begun, self._events(asked))):
+            raise ValueError(f"{case.begin}: not obeyed")
+        self._begin(fault, host)
+        began, pulled = time.monotonic(), time.time()
+        row.sent = self._keep(case.late, max(0.0, seconds - STALE), case.repeated)
         time.sleep(max(0.0, seconds - (time.monotonic() - began)))
-        before, plugged = self._state(), time.time()
-        self._hosts.network.plug(host)
+        last = [first, *(each for each in self._events(pulled) if each["kind"] == "state")][-1]
+        row.during, plugged = last["behavior"], time.time()
+        self._end(fault, host)
         while not self._hosts.status("operator")["ready"] and time.time() - plugged < HEALED:
             time.sleep(0.2)
-        ready = time.time() - plugged
+        row.ready = time.time() - plugged
         time.sleep(AFTER)
-        events = self._events(plugged)
-        states = [each for each in events if each["kind"] == "state"]
-        arrived = sum(map(case.obeyed, events))
+        events, states = self._events(plugged), self._states(plugged)
         rejections = [each for each in events if each["kind"] == "rejection"]
-        refused = sum(each["value"] == case.topic for each in rejections)
-        moved = max(math.dist(each["place"][:2], before["place"][:2]) for each in states)
-        end = states[-1]["behavior"]
-        again = self._stand()
-        row = Row(host, case.name, seconds, before["behavior"], end, ready, sent, arrived, refused, moved, again)
-        print(row, *(f"\n   refused: {each['value']}: {each['reason']}" for each in rejections[:3]), flush=True)
+        row.arrived = sum(map(case.obeyed, events))
+        row.refused = sum(each["value"] == case.topic for each in rejections)
+        row.moved = max(math.dist(each["place"][:2], last["place"][:2]) for each in states)
+        row.end, row.known = states[-1]["behavior"], self._say("ends") if case.late.startswith("goal") else ""
+        row.again = self._stand()
+        row.fell = any(
+            each["place"][2] < first["place"][2] - LOW or each["upright"] < LEAN for each in self._states(pulled)
+        )
+        row.load = os.getloadavg()[0]
         return row
 
 
-def _run(options: argparse.Namespace) -> list[Row]:
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    """Raises TimeoutError in what takes longer."""
+
+    def late(_signum: int, _frame: object) -> NoReturn:
+        raise TimeoutError(f"not over within {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def _bench() -> Iterator[Bench]:
+    """A robot on three hosts."""
     file = deployment_file("drc")
     text = file.read_text()
     for name, host in Deployment.load(file).hosts.items():
         text = text.replace(host.address, f"@{name}")
-    rows: list[Row] = []
     with (
         tempfile.TemporaryDirectory(prefix="vh-", ignore_cleanup_errors=True) as folder,
         hosts(Path(folder), text, INSTANCE, *NAMES, perception=3.0, operator=-2.0) as made,
     ):
         made.valorctl("operator", "up", "--deployment", str(made.file))
-        bench = Bench(made)
+        with _within(LIMIT):
+            bench = Bench(made)
         try:
-            cases = [case for case in CASES if not options.behaviors or case.name in options.behaviors]
-            for seconds, host, case in itertools.product(options.seconds, options.hosts, cases):
-                row = bench.cut(host, case, seconds)
-                rows.append(row)
-        except Exception as error:  # what was measured before is worth telling
-            print(f"ended early: {type(error).__name__}: {error}", file=sys.stderr)
+            yield bench
         finally:
             bench.close()
-    return rows
+
+
+def _measured(wanted: list[tuple[str, str, Case, float]]) -> Iterator[Row]:
+    """Rows, one after the other; with another robot behind one that is not as it should be."""
+    while wanted:
+        with _bench() as bench:
+            good = True
+            while wanted and good:
+                fault, host, case, seconds = wanted.pop(0)
+                try:
+                    with _within(LIMIT + seconds):
+                        row = bench.suffer(fault, host, case, seconds)
+                except Exception as error:  # it is what there is to be told of this fault
+                    said = f"{type(error).__name__}: {error}".splitlines()[0]
+                    row = Row(fault, host, case.name, seconds, again=said, load=os.getloadavg()[0])
+                good = row.good
+                print(row, flush=True)
+                yield row
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--faults", nargs="+", choices=FAULTS, default=["cable"])
+    parser.add_argument("--seconds", type=float, nargs="+", default=[0.2, 2.0, 20.0])
+    parser.add_argument("--hosts", nargs="+", choices=NAMES, default=list(NAMES))
+    parser.add_argument("--behaviors", nargs="+", choices=[case.name for case in CASES])
+    parser.add_argument(
+        "--into", type=Path, metavar="FILE", help="JSON, a line a row; those that it has are not measured"
+    )
+    parser.add_argument("--at-most", type=int, metavar="N", help="rows now")
+    return parser.parse_args()
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, nargs="+", default=[0.2, 2.0, 20.0])
-    parser.add_argument("--hosts", nargs="+", choices=NAMES, default=list(NAMES))
-    parser.add_argument("--behaviors", nargs="+", choices=[case.name for case in CASES])
+    options = _options()
+    rows: list[Row] = []
+    if options.into is not None and options.into.exists():
+        rows = [msgspec.json.decode(line, type=Row) for line in options.into.read_bytes().splitlines()]
+    known = {row.key for row in rows}
+    cases = [case for case in CASES if not options.behaviors or case.name in options.behaviors]
+    wanted = [
+        (fault, host, case, seconds)
+        for fault, seconds, host, case in itertools.product(options.faults, options.seconds, options.hosts, cases)
+        if (fault, host, case.name, seconds) not in known
+    ][: options.at_most]
     try:
-        rows = _run(parser.parse_args())
+        for row in _measured(wanted):
+            rows.append(row)
+            if options.into is not None:
+                with open(options.into, "ab") as file:
+                    file.write(msgspec.json.encode(row) + b"\n")
     except ComputersError as error:
         sys.exit(str(error))
-    title = f"Cables, load {os.getloadavg()[0]:.1f}"
-    Console(width=150).print(table(title, COLUMNS, rows, left=["cable of", "behavior"]))
+    finally:
+        if rows:
+            title = f"Hosts' faults, load {os.getloadavg()[0]:.1f}"
+            Console(width=190).print(table(title, COLUMNS, rows, left=["fault", "host", "behavior"]))
+    sys.exit(not all(row.good for row in rows))
 
 
 if __name__ == "__main__":

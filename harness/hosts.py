@@ -100,10 +100,14 @@ class Hosts:
         agent.terminate()
         agent.wait(30.0)
 
-    def cut_power(self, name: str) -> None:
-        """End a computer's agent and all that runs there at once, as when its power is cut; its files stay."""
+    def kill_agent(self, name: str) -> None:
+        """End a computer's agent, which has no time to say anything."""
         self._agents[name].kill()
         self._agents.pop(name).wait()
+
+    def cut_power(self, name: str) -> None:
+        """End a computer's agent and all that runs there at once, as when its power is cut; its files stay."""
+        self.kill_agent(name)
         for process in leftovers.processes_of(Instance(self.instance, self.home(name))):
             with contextlib.suppress(psutil.NoSuchProcess):
                 process.kill()

@@ -6,6 +6,7 @@ where tools that publish, and anybody who watches, find it.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,13 +18,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from rclpy.timer import Timer
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
-from vigir_footstep_planning_msgs.msg import StepPlan
+from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, StepPlan
 
 from valor.common.floods import TopicFloods
-from valor.footstep_converter.execution import End, Execution, Outcome
+from valor.footstep_converter.execution import End, Execution, Outcome, aborted
 from valor.footstep_converter.feedback import FeedbackMaker, final_state, warn
 from valor.footstep_converter.plan import PlannedStep
-from valor.ros.lateness import timely
+from valor.ros.lateness import GoalAges, timely
 
 NAMESPACE = "robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic
@@ -33,6 +34,7 @@ WORDS = 50  # of feedback kept for watchers: five seconds, in which a lost one i
 
 FEEDBACK_MESSAGE = ExecuteStepPlan.Impl.FeedbackMessage
 """Feedback with its goal: of an action's types the one that ``ros2 topic`` can import by its name."""
+_log = logging.getLogger("footstep_converter")
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 Report = Callable[[ExecuteStepPlan.Feedback], None]
@@ -157,6 +159,7 @@ class Clients:
         topic = node.resolve_topic_name(EXECUTE)
         published = self.floods.counted(topic, self._published)
         node.create_subscription(StepPlan, EXECUTE, timely(topic, published, others=others), 10)
+        self._ages = GoalAges(node, ExecuteStepPlan, EXECUTE) if others else None
         # Every goal is accepted and then refused with a result: ROS has no words for a rejected goal.
         self._server = ActionServer(node, ExecuteStepPlan, EXECUTE, self._execute, cancel_callback=self._cancel)
 
@@ -175,7 +178,11 @@ class Clients:
         key = bytes(handle.goal_id.uuid)
         self._goals[key] = goal
         try:
-            self._begin(goal)
+            if self._ages is not None and (why := self._ages.late(handle)):
+                _log.warning("plan refused: %s", why)
+                goal.end(aborted(FootstepExecutionStatus.ERR_UNKNOWN, why))
+            else:
+                self._begin(goal)
             return await goal.result()
         finally:
             del self._goals[key]
@@ -196,3 +203,5 @@ class Clients:
     def close(self) -> None:
         """No goals any more."""
         self._server.destroy()
+        if self._ages is not None:
+            self._ages.destroy()

@@ -7,12 +7,17 @@ only kept; the control loop finishes it when its time has come, and the executor
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
+
+from valor.ros.lateness import GoalAges
+
+_log = logging.getLogger("ros")
 
 
 class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy is untyped
@@ -25,6 +30,8 @@ class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy is unty
         name: str,
         on_goal: Callable[[ServerGoalHandle], None],
         on_cancel: Callable[[ServerGoalHandle], CancelResponse],
+        *,
+        late: Callable[[str], object] | None = None,
     ) -> None:
         """Offer an action.
 
@@ -34,8 +41,13 @@ class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy is unty
             name: absolute.
             on_goal: is given each goal, already executing; in the executor's thread.
             on_cancel: says whether a goal may be canceled; likewise.
+            late: makes the result of one that was held back on its way, and is refused, of the reason; None: it is
+                obeyed as all others.
         """
+        self._name = name
         self._on_goal = on_goal
+        self._late = late
+        self._ages = None if late is None else GoalAges(node, action_type, name)
         super().__init__(
             node,
             action_type,
@@ -48,7 +60,17 @@ class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy is unty
 
     def _accepted(self, handle: ServerGoalHandle) -> None:
         handle.execute()
-        self._on_goal(handle)
+        if self._late is not None and self._ages is not None and (why := self._ages.late(handle)):
+            _log.warning("%s: refused: %s", self._name, why)
+            self.finish(handle, "abort", self._late(why))
+        else:
+            self._on_goal(handle)
+
+    def destroy(self) -> None:
+        """Offer it no more."""
+        super().destroy()
+        if self._ages is not None:
+            self._ages.destroy()
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None) -> None:
         """Called by ``ServerGoalHandle.execute``: without a callback there is nothing to run yet."""

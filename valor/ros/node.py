@@ -51,17 +51,23 @@ class Untouched(CallbackGroup):  # type: ignore[misc]  # rclpy is untyped
 
 
 class ProcessNode(LifecycleNode):  # type: ignore[misc]  # rclpy is untyped
-    """A node; where its process knows robot time by itself it does not listen to ``/clock``."""
+    """A node; where its process knows robot time by itself it does not listen to ``/clock``.
 
-    def __init__(self, name: str, context: rclpy.Context, knows_time: bool = False) -> None:
+    Attributes:
+        others: other computers may command: what they send must be timely.
+    """
+
+    def __init__(self, name: str, context: rclpy.Context, knows_time: bool = False, *, others: bool = False) -> None:
         """Join.
 
         Args:
             name: unless remapped.
             context: initialized.
             knows_time: the process calls ``tell_time``.
+            others: as the attribute.
         """
         self._knows_time = knows_time
+        self.others = others
         super().__init__(name, context=context)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any) -> Any:

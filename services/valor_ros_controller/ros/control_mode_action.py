@@ -7,13 +7,13 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.node import Node
 from std_msgs.msg import String
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
 from valor.common.messages import ModeStatus
 from valor.ros.deferred_action_server import DeferredActionServer
+from valor.ros.node import ProcessNode
 from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
 from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.ros.node import LATCHED
@@ -48,7 +48,7 @@ class ControlModeAction:
         server: the action server.
     """
 
-    def __init__(self, node: Node, controller: ControlModeController, stamp: Time) -> None:
+    def __init__(self, node: ProcessNode, controller: ControlModeController, stamp: Time) -> None:
         """Open the interfaces.
 
         Args:
@@ -63,7 +63,9 @@ class ControlModeAction:
         self._reports = 0
         self._mode = ""
         self._repeat_at = 0
-        self.server = DeferredActionServer(node, ChangeControlMode, ACTION, self._goal, self._cancel)
+        self.server = DeferredActionServer(
+            node, ChangeControlMode, ACTION, self._goal, self._cancel, late=self._late if node.others else None
+        )
         node.create_subscription(VigirControlModeCommand, COMMAND, self._command, 10)
 
     def message(self, report: ModeReport) -> Any:
@@ -89,6 +91,10 @@ class ControlModeAction:
 
     def _goal(self, handle: ServerGoalHandle) -> None:
         self._controller.request(handle.request.mode_request, _ModeGoal(self, handle))
+
+    def _late(self, _: str) -> Any:
+        current, status = self._controller.report.current, ModeStatus.MODE_REJECTED | ModeStatus.ERR_UNKNOWN
+        return ChangeControlMode.Result(result=self.message(ModeReport("", current, status)))
 
     @staticmethod
     def _cancel(_: ServerGoalHandle) -> CancelResponse:

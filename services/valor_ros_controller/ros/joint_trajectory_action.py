@@ -12,11 +12,11 @@ from control_msgs.action import FollowJointTrajectory
 from control_msgs.srv import QueryTrajectoryState
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from valor.common.arrays import FloatArray
 from valor.ros.deferred_action_server import DeferredActionServer
+from valor.ros.node import ProcessNode
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest, stated
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
@@ -49,8 +49,12 @@ def _point(position: FloatArray, velocity: FloatArray, acceleration: FloatArray 
     return point
 
 
+def _late(why: str) -> Any:
+    return FollowJointTrajectory.Result(error_code=FollowJointTrajectory.Result.OLD_HEADER_TIMESTAMP, error_string=why)
+
+
 def serve(
-    node: Node,
+    node: ProcessNode,
     base: str,
     on_goal: Callable[[DeferredActionServer, ServerGoalHandle], None],
     on_cancel: Callable[[ServerGoalHandle], CancelResponse],
@@ -60,7 +64,14 @@ def serve(
     def begin(handle: ServerGoalHandle) -> None:
         on_goal(server, handle)
 
-    server = DeferredActionServer(node, FollowJointTrajectory, f"{base}/follow_joint_trajectory", begin, on_cancel)
+    server = DeferredActionServer(
+        node,
+        FollowJointTrajectory,
+        f"{base}/follow_joint_trajectory",
+        begin,
+        on_cancel,
+        late=_late if node.others else None,
+    )
 
 
 class _TrajectoryGoal:
@@ -91,7 +102,7 @@ class JointTrajectoryAction:
 
     def __init__(
         self,
-        node: Node,
+        node: ProcessNode,
         bases: Sequence[str],
         controller: JointTrajectoryController,
         stamp: Time,

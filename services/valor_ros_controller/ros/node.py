@@ -30,17 +30,16 @@ class _CommandNode(ProcessNode):
 
     def __init__(self, name: str, context: rclpy.Context, *, others: bool) -> None:
         """Join; ``others``: other computers may command."""
-        self._others = others
         self.floods = TopicFloods(
             lambda topic: (publisher.node_name for publisher in self.get_publishers_info_by_topic(topic))
         )
-        super().__init__(name, context, knows_time=True)
+        super().__init__(name, context, knows_time=True, others=others)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any) -> Any:
         """Of a command, counted."""
         name = self.resolve_topic_name(topic)
         counted = self.floods.counted(name, callback)
-        obeyed = timely(name, counted, others=self._others)
+        obeyed = timely(name, counted, others=self.others)
         return super().create_subscription(msg_type, topic, obeyed, qos_profile, **options)
 
 

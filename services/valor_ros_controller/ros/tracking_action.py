@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.node import Node
 
 from valor.ros.deferred_action_server import DeferredActionServer
+from valor.ros.node import ProcessNode
 from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
 from valor.valor_ros_controller.ros.joint_trajectory_action import serve
 
@@ -20,7 +20,7 @@ _log = logging.getLogger("tracking_controller")
 class TrackingAction:
     """Goals for joints that are not led from outside."""
 
-    def __init__(self, node: Node, bases: Sequence[str], controller: TrackingController) -> None:
+    def __init__(self, node: ProcessNode, bases: Sequence[str], controller: TrackingController) -> None:
         """Open the action under each of ``bases``."""
         self._controller = controller
         for base in bases:
