@@ -50,7 +50,7 @@ def _back(event: dict[str, Any]) -> bool:
 
 
 def _step(event: dict[str, Any]) -> bool:
-    return event["kind"] == "step"
+    return bool(event["kind"] == "step")
 
 
 def _late_step(event: dict[str, Any]) -> bool:
