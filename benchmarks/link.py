@@ -21,7 +21,7 @@ from benchmarks.tables import table as titled
 from harness.link_bag import states
 from harness.link_pair import Pair
 from harness.places import ROBOTS
-from valor.link.classes import BY_KIND, HEADERS, Kind
+from valor.link.classes import BY_KIND, HEADERS, ROBOT, Kind
 from valor.link.codec import Codec, Sender
 from valor.link.emulator import DRC_FAST, DRC_SLOW, Conditions
 from valor.link.errors import SealError
@@ -60,9 +60,11 @@ def sizes(recorded: list[RobotState], layout: Layout) -> None:
     for behavior, several in [*found.items(), ("all", [size for each in found.values() for size in each])]:
         mean = np.mean(several, axis=0)
         whole = mean[0] + HEADERS + OVERHEAD + 2
-        rows.append([behavior, len(several), *(f"{each:.1f}" for each in mean), f"{whole:.0f}", f"{900 / whole:.1f}"])
+        rows.append(
+            [behavior, len(several), *(f"{each:.1f}" for each in mean), f"{whole:.0f}", f"{ROBOT.budget / whole:.1f}"]
+        )
     head = ["behavior", "states", "predicted [B]", "by itself [B]", "float32, zlib [B]", "float32 [B]",
-            "datagram with headers [B]", "a second at 900 B/s"]  # fmt: skip
+            "datagram with headers [B]", f"a second at {ROBOT.budget:g} B/s"]  # fmt: skip
     show("A state", head, rows)
 
 

@@ -25,6 +25,7 @@ class Reporter:
         """``observer``: looks by itself; ``obedience``: knows whose goals are whose."""
         self._end, self._observer, self._obedience = end, observer, obedience
         self._due = 0.0
+        self._packed: tuple[Any, bytes] = (None, b"")  # a plan's steps, and as they travel: not twice the same bytes
         self.begin()
 
     def begin(self) -> None:
@@ -49,7 +50,10 @@ class Reporter:
         message = self._observer.newest("steps")
         if message is None:
             return
-        steps = packed_steps.pack(message.feedback.feedback.steps) or b""
+        told = message.feedback.feedback.steps
+        if told != self._packed[0]:
+            self._packed = (told, packed_steps.pack(told) or b"")
+        steps = self._packed[1]
         if steps and self._told.get("steps") != steps:
             self._send("steps", worded(Word.STEPS, 0, steps), steps, now)
         number = self._obedience.number_of(message.goal_id)

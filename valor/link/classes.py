@@ -33,6 +33,7 @@ class Class:
         newest: a newer one takes the place of one that waits.
         indebted: sent at once, whatever the budget says; what follows pays.
         most: messages that may wait; of those without a deadline the oldest goes when another comes.
+        part: of content in one record: what comes beside states is in small ones [B].
     """
 
     kind: Kind
@@ -43,6 +44,7 @@ class Class:
     newest: bool = False
     indebted: bool = False
     most: int = 64
+    part: int = 40
 
 
 # fmt: off
@@ -50,7 +52,7 @@ CLASSES: tuple[Class, ...] = (
     #     kind                  description                              reliable  deadline       again
     Class(Kind.STOP,            "soft stop, emergency stop",             True, deadline=10.0, again=0.2, indebted=True),
     Class(Kind.ACKNOWLEDGEMENT, "what has arrived, of both ends",        False,    newest=True),
-    Class(Kind.COMMAND,         "goals, modes, plans, cancellations",    True,     deadline=6.0,  again=1.0),
+    Class(Kind.COMMAND,         "goals, modes, plans, cancellations",    True,     deadline=6.0,  again=1.0, part=112),
     Class(Kind.STREAM,          "velocities: the newest alone counts",   False,    deadline=0.5,  newest=True),
     Class(Kind.ANSWER,          "what became of a command",              True,     again=1.0),
     Class(Kind.STATE,           "the robot's state",                     False,    newest=True),
@@ -84,12 +86,14 @@ class Rates:
         budget: of all that it sends on the channel that is always on, headers included [B/s].
         burst: how much unspent budget it keeps [B].
         period: of what it sends by itself, states or acknowledgements [s].
+        slowest: the same while messages wait: they take what that leaves; None: they go at once [s].
     """
 
     budget: float
     burst: float
     period: float
+    slowest: float | None = None
 
 
-ROBOT = Rates(budget=900.0, burst=450.0, period=0.1)
-OPERATOR = Rates(budget=300.0, burst=300.0, period=0.5)
+ROBOT = Rates(budget=940.0, burst=24.0, period=0.095, slowest=0.1)
+OPERATOR = Rates(budget=240.0, burst=150.0, period=0.5)

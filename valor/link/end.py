@@ -6,6 +6,7 @@ there in windows, shows it by being heard, and takes what waits. Both carry the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
@@ -24,7 +25,9 @@ ACKNOWLEDGEMENTS = 0.45  # between those that bring nothing but clocks, and the 
 QUICK = 0.02  # between states on the fast channel [s]
 PROBES = 0.1  # between what is sent on the fast channel, to see whether it is there [s]
 OPEN = 0.3  # so long after the last word the fast channel counts as there [s]
-LARGEST = {0: 420, 1: 1200}  # of a datagram's records, by channel [B]
+LARGEST = {0: 140, 1: 1200}  # of a datagram's records, by channel [B]
+HELD = 0.2  # so long an acknowledgement waits for company [s]
+PATIENCE = 0.5  # of messages that wait for what states leave; then one goes with the next state [s]
 AT_ONCE = 16  # datagrams on the fast channel in one turn
 
 
@@ -83,6 +86,7 @@ class End:
         self._heard = {Channel.SLOW: -1e9, Channel.FAST: -1e9}
         self._hello_due = self._acknowledge_due = now
         self._own_due = {Channel.SLOW: now, Channel.FAST: now}
+        self._acknowledged_at = self._went = now
         self._asked: Channel | None = None
         self._events: list[Event] = []
         self._reset()
@@ -191,6 +195,7 @@ class End:
 
     def _arrived(self, message: Message, now: float) -> None:
         self._to_acknowledge.add((message.id, message.part))
+        self._acknowledge_by(now + HELD)
         content = self._inbox.take(message)
         if content is None:
             return
@@ -262,35 +267,56 @@ class End:
     def _datagram(self, channel: Channel, now: float) -> tuple[bytes, bool]:
         """The next one on a channel, and whether it is urgent; empty: there is none, or it would cost too much."""
         slow = channel is Channel.SLOW
-        broke = slow and self._budget.left(now) <= 0.0
-        parts: list[tuple[Class, bytes]] = []
-        room = LARGEST[channel]
-        for message in self._outbox.due(now) if slow or self.fast(now) else ():
+        left = self._budget.left(now) if slow else math.inf
+        due = self._outbox.due(now) if slow or self.fast(now) else []
+        regular = left > 0.0 and now >= self._own_due[channel]
+        own = self._own(channel, now, regular, bool(due) and self._rates.slowest is None) if left > 0.0 else []
+        room = LARGEST[channel] - _size(own) * (not slow)
+        spare = self._spare(left, own, regular) if slow else math.inf
+        taken: list[tuple[Class, bytes]] = []
+        for message in due:
             each, made = BY_KIND[message.kind], message.record()
-            if len(made) > room or (broke and not each.indebted) or (not slow and each.indebted):
+            fits = len(made) <= spare or (regular and not taken and now - self._went > PATIENCE)
+            if len(made) > room or not (fits or each.indebted) or (not slow and each.indebted):
                 continue
-            parts.append((each, made))
-            room -= len(made)
+            taken.append((each, made))
+            room, spare = room - len(made), spare - len(made)
             self._outbox.sent(message, now)
-        urgent = any(each.indebted for each, _ in parts)
-        if not broke:
-            parts += self._own(channel, now)
-        if not parts:
+        if slow and (taken or not due):
+            self._went = now
+        if regular:
+            self._regular_again(channel, now, waits=len(taken) < len(due))
+        if not (parts := taken + own):
             return b"", False
         datagram = self.session.seal(b"".join(made for _, made in parts))
         self._account(parts, len(datagram), slow, now)
-        return datagram, urgent
+        return datagram, any(each.indebted for each, _ in taken)
 
-    def _own(self, channel: Channel, now: float) -> list[tuple[Class, bytes]]:
-        """What this end says by itself: acknowledgements, streams, the state."""
+    def _spare(self, left: float, own: list[tuple[Class, bytes]], regular: bool) -> float:
+        """What messages may take of the slow channel now, so that the next state is in time [B]."""
+        if left <= 0.0:
+            return 0.0
+        if self._rates.slowest is None:
+            return math.inf
+        if not regular:
+            return 0.0
+        return left - _size(own) - HEADERS - OVERHEAD + self._rates.budget * self._rates.slowest
+
+    def _regular_again(self, channel: Channel, now: float, waits: bool) -> None:
+        """When this end speaks by itself next; ``waits``: something has found no place."""
+        if channel is Channel.FAST:
+            period = QUICK if self.fast(now) else PROBES
+        else:
+            period = self._rates.slowest if waits and self._rates.slowest is not None else self._rates.period
+        self._own_due[channel] = max(self._own_due[channel] + period, now)
+
+    def _own(self, channel: Channel, now: float, regular: bool, company: bool) -> list[tuple[Class, bytes]]:
+        """What this end says by itself: acknowledgements, streams, the state; ``company``: messages are to go."""
         parts = []
         there = channel is Channel.SLOW or self.fast(now)
-        regular = now >= self._own_due[channel]
-        if regular:
-            period = self._rates.period if channel is Channel.SLOW else QUICK if there else PROBES
-            self._own_due[channel] = max(self._own_due[channel] + period, now)
+        waits = bool(self._to_acknowledge) and there and (regular or company or channel is Channel.FAST)
         probe = regular and channel is Channel.FAST
-        if probe or (self._to_acknowledge and there) or (regular and now >= self._acknowledge_due):
+        if probe or waits or (regular and now >= self._acknowledge_due):
             if channel is Channel.SLOW:
                 self._acknowledge_due = now + ACKNOWLEDGEMENTS
             parts.append((BY_KIND[Kind.ACKNOWLEDGEMENT], self._acknowledgement(now, there)))
@@ -301,11 +327,17 @@ class End:
             parts.append((BY_KIND[Kind.STATE], record(Kind.STATE, state)))
         return parts
 
+    def _acknowledge_by(self, at: float) -> None:
+        """Have what has come acknowledged at that time, at the latest."""
+        self._own_due[Channel.SLOW] = min(self._own_due[Channel.SLOW], at)
+        self._acknowledge_due = min(self._acknowledge_due, at)
+
     def _acknowledgement(self, now: float, there: bool) -> bytes:
         echo = 0 if self._echo is None else round(1e3 * (self._echo[0] + now - self._echo[1]))
         told = sorted(self._to_acknowledge)[: 40 * there]
         self._to_acknowledge.difference_update(told)
         clock = round(1e3 * self.clock(now))
+        self._acknowledged_at = now
         return Acknowledgement(self._newest, clock, echo, tuple(told)).record()
 
     def _account(self, parts: list[tuple[Class, bytes]], size: int, slow: bool, now: float) -> None:
@@ -316,3 +348,7 @@ class End:
         (self.meter if slow else self.fast_meter).count(shares, now)
         if slow:
             self._budget.spend(size, now)
+
+
+def _size(parts: list[tuple[Class, bytes]]) -> int:
+    return sum(len(made) for _, made in parts)

@@ -18,7 +18,6 @@ _MESSAGE = struct.Struct(">IBB")
 _DEADLINE = struct.Struct(">I")
 _LONG = 255
 FOREVER = 2**32 - 1
-PART = 300  # of content in one record [B]; at the slow channel's rate a quarter of a second
 
 
 @dataclass(frozen=True)
@@ -65,9 +64,10 @@ def parted(kind: Kind, number: int, deadline: int, content: bytes) -> list[Messa
     Raises:
         SealError: it is longer than 255 parts.
     """
-    pieces = [content[at : at + PART] for at in range(0, len(content), PART)] or [b""]
+    size = BY_KIND[kind].part
+    pieces = [content[at : at + size] for at in range(0, len(content), size)] or [b""]
     if len(pieces) > _LONG:
-        raise SealError(f"{kind.name}: {len(content)} bytes; expected at most {_LONG * PART}")
+        raise SealError(f"{kind.name}: {len(content)} bytes; expected at most {_LONG * size}")
     return [Message(kind, number, part, len(pieces), deadline, piece) for part, piece in enumerate(pieces)]
 
 

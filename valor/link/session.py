@@ -2,11 +2,12 @@
 
 Both ends have a key pair (Curve25519, Bifrost's). Each says hello with a number of its own, drawn when it starts; when
 both numbers are known to be fresh, a key each way follows from them. So nothing that was sent before either end
-started can be opened. Datagrams are sealed with ChaCha20-Poly1305 (RFC 8439); their counter is the nonce. What must not
-push others out of the window of counters has keys and counters of its own (``keys``).
+started can be opened. Datagrams are sealed with AES-256-CCM with a tag of 8 bytes, as where every byte counts (CCM_8 of
+RFC 6655); their counter is the nonce. What must not push others out of the window of counters has keys and counters of
+its own, of ChaCha20-Poly1305 (RFC 8439, ``keys``).
 
 On the wire: ``0`` for a hello that asks for one or ``2`` for an answer, the sender's number (16), the other end's as
-the sender knows it (16), fingerprint (8), BLAKE2b of these (16); or ``1``, counter (4), sealed records and tag (16).
+the sender knows it (16), fingerprint (8), BLAKE2b of these (16); or ``1``, counter (4), sealed records and tag (8).
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from dataclasses import dataclass, field
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
-from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
+from cryptography.hazmat.primitives.ciphers.aead import AESCCM, ChaCha20Poly1305
 from zmq.utils import z85
 
 from valor.link.errors import SealError
 
 ASKS, SEALED, ANSWERS = 0, 1, 2
 NUMBER, FINGERPRINT, TAG = 16, 8, 16
+SEAL = 8  # of a sealed datagram's tag [B]
 _HEADER = struct.Struct(">BI")
-OVERHEAD = _HEADER.size + TAG
+OVERHEAD = _HEADER.size + SEAL
 """Of a sealed datagram beside its records [B]."""
 WINDOW = 1024  # counters behind the highest that may still come
 
@@ -50,8 +52,8 @@ def fingerprint(*contents: bytes) -> bytes:
 class _Keys:
     """Of one session, as one end has them."""
 
-    sending: ChaCha20Poly1305
-    receiving: ChaCha20Poly1305
+    sending: AESCCM
+    receiving: AESCCM
     counter: int = 0
     highest: int = -1
     seen: set[int] = field(default_factory=set)
@@ -122,7 +124,8 @@ class Session:
 
     def _derive(self) -> _Keys:
         self._begun = (self._own, self._other) if self._robot_end else (self._other, self._own)
-        return _Keys(*self.keys(b""))
+        down, up = (AESCCM(each, SEAL) for each in self._secrets(b""))
+        return _Keys(down, up) if self._robot_end else _Keys(up, down)
 
     def keys(self, purpose: bytes) -> tuple[ChaCha20Poly1305, ChaCha20Poly1305]:
         """To send by and to receive by, of this session and for one purpose (at most 16 bytes) alone.
@@ -130,12 +133,16 @@ class Session:
         Raises:
             SealError: there is no session.
         """
+        down, up = map(ChaCha20Poly1305, self._secrets(purpose))
+        return (down, up) if self._robot_end else (up, down)
+
+    def _secrets(self, purpose: bytes) -> tuple[bytes, bytes]:
+        """From the robot, and to it."""
         if self._begun is None:
             raise SealError("no session")
         robot, operator = self._begun
         both = hashlib.blake2b(robot + operator, key=self._secret, digest_size=64, person=purpose).digest()
-        down, up = ChaCha20Poly1305(both[:32]), ChaCha20Poly1305(both[32:])
-        return (down, up) if self._robot_end else (up, down)
+        return both[:32], both[32:]
 
     @property
     def next_counter(self) -> int:

@@ -16,6 +16,7 @@ from vigir_footstep_planning_msgs.msg import Step
 
 from valor.link.errors import SealError
 from valor.link.orientation import smaller, whole
+from valor.ros.varints import varint, varints
 
 POSITION = 1e-3  # [m]
 TURN = 1.0 / 4096.0  # of a quaternion's component
@@ -31,7 +32,7 @@ def pack(steps: Sequence[Step]) -> bytes | None:
     """As they travel; places to half a millimetre. None: they differ in more than numbers, or have none that can be."""
     if not steps:
         return b""
-    rows, bare = [], [serialize_message(_without_numbers(step)) for step in steps]
+    rows, bare = [], [_without_numbers(step) for step in steps]
     for step in steps:
         row = _numbers(step)
         if not np.isfinite(row).all() or np.abs(row).max() >= _LARGEST:
@@ -42,7 +43,8 @@ def pack(steps: Sequence[Step]) -> bytes | None:
     table = np.array(rows, dtype=np.int64)
     changes = table.copy()
     changes[2:] -= table[:-2]
-    return _deflated(len(bare[0]).to_bytes(2, "big") + bare[0] + b"".join(map(_varint, changes.T.reshape(-1).tolist())))
+    alike = serialize_message(bare[0])  # what CDR leaves between fields is whatever was in memory: never compared
+    return _deflated(len(alike).to_bytes(2, "big") + alike + b"".join(map(varint, changes.T.reshape(-1).tolist())))
 
 
 def unpack(data: bytes) -> list[Step]:
@@ -57,7 +59,7 @@ def unpack(data: bytes) -> list[Step]:
         content = zlib.decompressobj(-15).decompress(data, 1 << 20)
         size = int.from_bytes(content[:2], "big")
         bare = deserialize_message(content[2 : 2 + size], Step)
-        changes = np.array(_read_varints(content[2 + size :]), dtype=np.int64).reshape(_COLUMNS, -1).T
+        changes = np.array(varints(content, 2 + size)[0], dtype=np.int64).reshape(_COLUMNS, -1).T
     except Exception as error:  # zlib's, NumPy's, and whatever rclpy raises
         raise SealError(f"no steps: {' '.join(str(error).split())}") from None
     table = changes.copy()
@@ -110,27 +112,3 @@ def _step(bare: Step, row: Numbers) -> Step:
 def _deflated(data: bytes) -> bytes:
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15, 9)
     return deflate.compress(data) + deflate.flush()
-
-
-def _varint(number: int) -> bytes:
-    """Small numbers of either sign in few bytes: seven bits in each, the least first."""
-    rest = number << 1 if number >= 0 else ~(number << 1)
-    found = bytearray()
-    while rest >= 0x80:
-        found.append(rest & 0x7F | 0x80)
-        rest >>= 7
-    found.append(rest)
-    return bytes(found)
-
-
-def _read_varints(data: bytes) -> list[int]:
-    found, number, shift = [], 0, 0
-    for byte in data:
-        number |= (byte & 0x7F) << shift
-        shift += 7
-        if byte < 0x80:
-            found.append(number >> 1 if not number & 1 else ~(number >> 1))
-            number, shift = 0, 0
-        elif shift > 63:
-            raise SealError("no steps: a number is too long")
-    return found

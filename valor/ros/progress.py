@@ -11,11 +11,13 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Step
 
 from valor.link.errors import SealError
+from valor.ros.varints import varint, varints
 
 FEEDBACK = "robot_controllers/footstep_controller/execute_feedback"
 GOAL_STATUS = "flor/{}/goal_status"
 FeedbackMessage = ExecuteStepPlan.Impl.FeedbackMessage
-_PLAN = struct.Struct(">IIbiiiiiiiII")  # plan, time [ms], then the feedback's own numbers
+_PLAN = struct.Struct(">II")  # plan, time [ms]; behind them the feedback's own numbers
+_MOST_OF = (2**7, *(2**31,) * 7, 2**32, 2**32)  # of those numbers; they are less
 _HAND = struct.Struct(">IBHH")  # time [ms], state, errors [mm, mrad]
 _STATES = ("idle", "moving", "reached", "out_of_reach")
 _MOST = 2**16 - 1
@@ -43,8 +45,8 @@ def pack_feedback(message: Any, steps: bytes) -> bytes:
         told.stepping_status, told.status.error, told.status.warning,
     )  # fmt: skip
     texts = "\0".join((told.status.error_msg, told.status.warning_msg)).encode()
-    packed: bytes = _PLAN.pack(mark(steps), _milliseconds(told.header.stamp), *numbers)
-    return packed + texts[:TEXT]
+    packed: bytes = _PLAN.pack(mark(steps), _milliseconds(told.header.stamp))
+    return packed + b"".join(map(varint, numbers)) + texts[:TEXT]
 
 
 def unpack_feedback(data: bytes, known: dict[int, list[Step]], frame: str) -> Any:
@@ -59,9 +61,12 @@ def unpack_feedback(data: bytes, known: dict[int, list[Step]], frame: str) -> An
         SealError: it is none.
     """
     try:
-        plan, stamp, *numbers = _PLAN.unpack_from(data)
+        plan, stamp = _PLAN.unpack_from(data)
     except struct.error:
         raise SealError(f"a plan's progress of {len(data)} bytes") from None
+    numbers, at = varints(data, _PLAN.size, len(_MOST_OF))
+    if any(not (0 if most == 2**32 else -most) <= each < most for each, most in zip(numbers, _MOST_OF, strict=True)):
+        raise SealError(f"a plan's progress: {numbers}")
     message = FeedbackMessage()
     told = message.feedback
     (
@@ -69,7 +74,7 @@ def unpack_feedback(data: bytes, known: dict[int, list[Step]], frame: str) -> An
         told.last_performed_step_index, told.currently_executing_step_index, told.first_changeable_step_index,
         told.stepping_status, told.status.error, told.status.warning,
     ) = numbers  # fmt: skip
-    error, _, warning = data[_PLAN.size :].decode(errors="replace").partition("\0")
+    error, _, warning = data[at:].decode(errors="replace").partition("\0")
     told.status.error_msg, told.status.warning_msg = error, warning
     for header in (told.header, told.feedback.header):
         header.frame_id = frame

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.examples import examples
-from harness.link_pair import Pair
+from harness.link_pair import STEP, Pair
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.link.classes import ALWAYS_ON, BY_KIND, OPERATOR, ROBOT, Kind
@@ -37,9 +37,12 @@ class Robot:
         self.turns += 1
         phases = 0.3 * self.turns + np.arange(len(self.legs), dtype=np.float64)
         joints: FloatArray = np.where(self.legs, 0.3 * np.sin(phases), 0.0)
+        swing = np.sin(0.3 * self.turns + np.arange(6.0))
         return RobotState(
-            joints=joints, stamp=100 * self.turns, mode="walk", mode_age=0.0, behavior="walk", behavior_age=0.0
-        )
+            joints=joints, stamp=100 * self.turns, mode="walk", mode_age=0.0, behavior="walk", behavior_age=0.0,
+            base_position=np.array((0.025 * self.turns, 0.03 * swing[0], 1.0)), base_velocity=0.2 * swing[:3],
+            base_turn=0.3 * swing[3:], foot_forces=300.0 * swing, foot_torques=20.0 * swing,
+        )  # fmt: skip
 
 
 def pair(conditions: Conditions = DRC_SLOW, **more: object) -> Pair:
@@ -60,13 +63,39 @@ def test_over_the_slow_channel_states_come_at_least_eight_times_a_second_within_
     assert (sum(line.passed for line in link.lines.values()) - passed) / (link.now - began) <= ALWAYS_ON
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_whatever_is_told_beside_it_eight_states_come_in_every_second(seed: int) -> None:
+    chance, link = random.Random(seed), pair()
+    link.until(lambda: link.operator.states > 3, 10.0)
+    began, passed = link.now, sum(line.passed for line in link.lines.values())
+    came, told, number = [], 0, link.operator.states
+    while link.now < began + 60.0:
+        if chance.random() < STEP / 1.2:  # a step begins
+            told = link.robot.renew(Kind.PROGRESS, chance.randbytes(20), link.robot_time, told)
+        if chance.random() < STEP / 6.0:
+            link.robot.send(Kind.EVENT, chance.randbytes(80), link.robot_time)
+        if chance.random() < STEP / 10.0:  # a plan, its steps told, a mode
+            link.operator.send(Kind.COMMAND, chance.randbytes(110), link.now)
+            link.robot.send(Kind.PROGRESS, chance.randbytes(110), link.robot_time)
+        if chance.random() < STEP / 10.0:
+            link.operator.send(Kind.COMMAND, b"mode", link.now)
+        link.step()
+        came += [link.now] * (link.operator.states - number)
+        number = link.operator.states
+    assert sum(line.passed for line in link.lines.values()) - passed <= ALWAYS_ON * 60.0
+    a_second = np.histogram(came, np.arange(began, began + 60.5))[0]
+    assert a_second.min() >= 8, a_second
+    assert max(np.array(came[8:]) - came[:-8]) <= 1.0 + 4 * STEP, "nor in a second that begins at any other time"
+    assert len(link.executed) > 5 and len(link.answers) > 20
+
+
 def test_a_command_arrives_and_is_answered_while_states_go_on() -> None:
     link = pair()
     link.until(lambda: link.operator.states > 5, 10.0)
     plan = random.Random(1).randbytes(900)
     link.operator.send(Kind.COMMAND, plan, link.now)
     before = link.operator.states
-    link.until(lambda: plan in link.answers, 10.0)
+    link.until(lambda: plan in link.answers, 20.0)
     assert [content for _, _, content in link.executed] == [plan]
     assert link.operator.states > before
 

@@ -40,7 +40,7 @@ def test_a_plans_progress_comes_back_with_its_steps() -> None:
     came = unpack_feedback(content, {mark(packed): told.feedback.steps}, "odom")
     assert came.feedback == told
     assert unpack_feedback(content, {}, "odom").feedback.feedback.steps == [], "steps that have not come are not told"
-    assert len(content) < 70
+    assert len(content) < 45
 
 
 @pytest.mark.parametrize("state", ["idle", "moving", "reached", "out_of_reach"])

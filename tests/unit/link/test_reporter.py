@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +12,9 @@ import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from valor_msgs.msg import HandGoalStatus
 
 from harness.link_pair import Pair
@@ -70,9 +73,11 @@ def test_what_changes_is_told_once_and_comes_as_it_was(nodes: tuple[Any, Any]) -
     plans.publish(sent)
     hands.publish(status)
     words: list[Word] = []
+    chance = random.Random(1)
 
     def turn() -> bool:
         observer.look()
+        serialize_message(String(data="ÿ" * chance.randrange(400)))  # leaves its bytes in memory
         reporter.tell(link.robot_time)
         link.run(0.2)
         for content in link.answers:
@@ -90,17 +95,22 @@ def test_what_changes_is_told_once_and_comes_as_it_was(nodes: tuple[Any, Any]) -
 
     executor = SingleThreadedExecutor(context=theirs.context)
     executor.add_node(theirs)
-    wait_until(lambda: turn() or (heard["plans"] and heard["hands"]), 60.0, "both to be told")
+
+    def steps() -> bool:
+        return bool(heard["plans"] and heard["plans"][-1].feedback.feedback.steps)
+
+    wait_until(lambda: turn() or (steps() and heard["hands"]), 60.0, "both to be told")
     came = heard["plans"][-1].feedback
     assert came.currently_executing_step_index == 2
     assert [step.step_index for step in came.feedback.steps] == [0, 1, 2, 3, 4, 5]
     assert heard["hands"][-1] == status
-    for _ in range(20):
+    for _ in range(60):
         turn()
     assert sorted(words) == [Word.STEPS, Word.PROGRESS, Word.HAND], "what has not changed is not told again"
     sent.feedback.currently_executing_step_index = 3
     plans.publish(sent)
-    wait_until(lambda: turn() or len(heard["plans"]) > 1, 60.0, "the next step to be told")
+    before = len(heard["plans"])
+    wait_until(lambda: turn() or len(heard["plans"]) > before, 60.0, "the next step to be told")
     assert heard["plans"][-1].feedback.feedback.steps == came.feedback.steps
     assert words.count(Word.STEPS) == 1, "steps that have not changed travel once"
     late = Progress(theirs, "odom", lambda number, feedback: None)
