@@ -14,6 +14,7 @@ from valor_msgs.msg import Rejection
 
 from valor.common.errors import ConfigurationError
 from valor.common.linking import ports_to_robot
+from valor.link.bulk.fetcher import Fetcher
 from valor.link.carrier import Carrier
 from valor.link.classes import Kind
 from valor.link.end import Arrived, Began, Event, GivenUp
@@ -26,6 +27,7 @@ from valor.link_operator.goals import Goals
 from valor.link_operator.progress import Progress
 from valor.link_operator.republisher import LATCHED, Republisher
 from valor.link_operator.status import status
+from valor.link_operator.things import Things
 from valor.ros.link_loop import serve
 from valor.ros.node import ProcessNode, RosSide
 from valor.ros.relayed import COMMANDS, Command, Deflated, Word, kind_of, read, worded
@@ -59,7 +61,10 @@ class LinkOperator:
         self._side = RosSide(context.name, theirs, environment, context.arguments, node=knowing)
         node, self._layout = self._side.node, Layout(context.robot)
         self._end = OperatorEnd(joined, self._layout, time.monotonic(), fast=True)
-        self._carrier = Carrier(self._end, other=[(self._link.robot, port) for port in ports_to_robot(settings)])
+        self._fetcher = Fetcher(joined, context.instance.fetched)
+        others = [(self._link.robot, port) for port in ports_to_robot(settings)]
+        self._carrier = Carrier(self._end, other=others, things=self._fetcher)
+        self._things = Things(node, self._end, self._fetcher)
         self._deflated = Deflated(context.robot)
         self._republisher = Republisher(node, context.robot, settings)
         self._fates = Fates()
@@ -81,6 +86,7 @@ class LinkOperator:
         for event in self._end.events():
             self._hear(event)
         self._show(now)
+        self._things.turn(now)
 
     def _show(self, now: float) -> None:
         state = self._end.state
@@ -96,7 +102,8 @@ class LinkOperator:
             self._republisher.tick(self._time)
         if now - self._told >= STATUS:
             self._told = now
-            self._status.publish(status(self._end, self._layout, self._link, now, self._fates.lines(now)))
+            told = self._fates.lines(now) | self._things.values(now)
+            self._status.publish(status(self._end, self._layout, self._link, now, told))
 
     def _send(self, place: int, command: Command, message: Any) -> None:
         content = worded(Word.TOPIC, place, self._deflated.pack(message))
@@ -150,5 +157,6 @@ class LinkOperator:
     def close(self) -> None:
         """Leave ROS; the robot does what it did."""
         self._carrier.close()
+        self._fetcher.close()
         self._goals.close()
         self._side.close()

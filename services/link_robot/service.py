@@ -7,6 +7,7 @@ import time
 
 from valor.common.behaviors import STEPPING_MODES, WALKING_MODES
 from valor.common.linking import robot_ports
+from valor.link.bulk.giver import Giver
 from valor.link.carrier import Carrier
 from valor.link.end import Arrived, Began
 from valor.link.ends import RobotEnd
@@ -15,6 +16,8 @@ from valor.link.joining import session
 from valor.link_robot.obedience import Obedience
 from valor.link_robot.observer import Observer
 from valor.link_robot.reporter import Reporter
+from valor.link_robot.shelf import RobotShelf
+from valor.link_robot.view import View
 from valor.ros.link_loop import serve
 from valor.ros.node import RosSide
 from valor.service import Context
@@ -40,7 +43,10 @@ class LinkRobot:
         layout = Layout(context.robot)
         self._end = RobotEnd(joined, layout, self._observer.state, time.monotonic(), fast=True)
         own = [(self._settings.listen, port) for port in robot_ports(context.settings)]
-        self._carrier = Carrier(self._end, own=own)
+        self._view = View(self._side.node, self._end, self._settings.picture)
+        self._shelf = RobotShelf(context.instance.bags, self._view.newest)
+        self._giver = Giver(joined, self._shelf)
+        self._carrier = Carrier(self._end, own=own, things=self._giver)
         self._obedience = Obedience(self._side.node, self._end, context.robot)
         self._reporter = Reporter(self._end, self._observer, self._obedience)
         self._lost = True  # nobody has been heard yet
@@ -67,6 +73,7 @@ class LinkRobot:
     def _watch(self, now: float) -> None:
         """Once when the operator's end falls silent: what the settings say."""
         lost = self._end.silent(now) > self._settings.lost_after
+        self._view.listen(not lost)
         if lost and not self._lost:
             self._observer.look()
             state = self._observer.state()
@@ -81,4 +88,6 @@ class LinkRobot:
     def close(self) -> None:
         """Leave ROS; the robot does what it did."""
         self._carrier.close()
+        self._giver.close()
+        self._shelf.close()
         self._side.close()

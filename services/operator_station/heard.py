@@ -43,6 +43,7 @@ class Heard:
         news: refusals and external changes, the newest first: when (wall clock) and text.
         modes: when which control mode was.
         link: what the link between robot and operator says of itself; None: there is none, or it is silent.
+        picture: of the robot's view, compressed; empty: none has come over the link.
         transits: topic → from its last message's publication to its reception here, by both wall clocks [s].
     """
 
@@ -69,6 +70,7 @@ class Heard:
     transits: dict[str, float] = field(default_factory=dict)
 
     link: Link | None = None
+    picture: bytes = b""
 
     def forget(self) -> None:
         """As if nothing had been heard."""

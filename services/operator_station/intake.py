@@ -11,12 +11,13 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import CompressedImage, JointState
 from std_msgs.msg import Bool
 from valor_msgs.msg import HandGoalStatus, MotionState, Rejection
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
+from valor.common.fetching import PICTURE
 from valor.common.poses import Pose
 from valor.operator_station.heard import Heard
 from valor.operator_station.link import AGES, Link
@@ -93,6 +94,7 @@ class Intake:
         )
         if linked:
             add(DiagnosticStatus, "link/status", TOLD, self._link)
+            add(CompressedImage, PICTURE, TOLD, self._picture)
 
     def _add(self, kind: Any, topic: str, qos: QoSProfile, take: Callable[[Any, float], None]) -> None:
         self.inputs.append(Input(kind, topic, qos, take))
@@ -170,6 +172,9 @@ class Intake:
             if (age := link.age(key)) is not None:
                 self.heard.ages.tell(name, age, now)
         self.heard.ages.heard("link", now)
+
+    def _picture(self, message: CompressedImage, _now: float) -> None:
+        self.heard.picture = bytes(message.data)
 
     def _rejection(self, message: Rejection, now: float) -> None:
         self.heard.tell(self.wall(), f"refused {message.topic} of {message.origin}: {message.reason}")

@@ -32,6 +32,7 @@ from valor.operator_station.reach import Reach
 from valor.operator_station.scene import Scene
 from valor.operator_station.simulation import Simulation
 from valor.operator_station.topics import Topics
+from valor.operator_station.view import View
 from valor.operator_station.worker import Worker
 from valor.robot.model import full_model
 from valor.ros.node import RosSide
@@ -102,6 +103,10 @@ class OperatorStation:
             Extras(parts, context, self._worker)
         with tabs.add_tab("Simulation"):
             self._simulation = Simulation(parts, context, self._worker)
+        self._view: View | None = None
+        if linked:
+            with tabs.add_tab("View"):
+                self._view = View(server)
         others = {} if linked else {STOP_BUTTON: stop_port(settings)}
         self._guard = Guard(context.instance, settings, port, within, others)
         self._url = viewing.url(port)
@@ -153,6 +158,8 @@ class OperatorStation:
             self._plots.draw(wall)
             self._followers.draw()
             self._simulation.draw()
+            if self._view is not None:
+                self._view.draw(heard, now)
 
     def close(self) -> None:
         """Leave ROS; the robot does what it did."""

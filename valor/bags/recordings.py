@@ -79,6 +79,10 @@ class Recording:
         """Whether it is being written."""
         return any(_state(path) == "written" for path, _, _ in self.files)
 
+    def finished(self) -> Iterator[Path]:
+        """Pieces that a recorder of ours wrote, and writes no more."""
+        return (path for path, _, _ in self.files if _state(path) == "closed")
+
     def pieces(self) -> Iterator[Piece]:
         """Those that a recorder of ours wrote, as retention wants to know them."""
         for path, size, changed in self.files:

@@ -95,6 +95,7 @@ class Link(Table):
     # UDP ports by which the operator's end reaches the robot's; 0: the robot end's own.
     slow: Annotated[int, Meta(ge=0, le=65535)] = 0
     fast: Annotated[int, Meta(ge=0, le=65535)] = 0
+    picture: str = "camera/image_raw/compressed"  # sensor_msgs/CompressedImage of the robot's view
 
 
 class Settings(Table, kw_only=True):
@@ -255,6 +256,11 @@ class Instance:
     def bags(self) -> Path:
         """Where bags go unless told otherwise."""
         return self.folder / "bags"
+
+    @property
+    def fetched(self) -> Path:
+        """Where the operator's end of the link puts the bags that it fetched from the robot."""
+        return self.folder / "fetched"
 
     @property
     def not_up(self) -> str:

@@ -9,32 +9,60 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 from valor.common.errors import ConfigurationError
+from valor.link.bulk.lane import BULK
 from valor.link.end import Channel, End
+from valor.link.errors import SealError
 from valor.link.session import SEALED
 
 LONGEST = 2048  # of a datagram [B]
 MOST = 64  # datagrams of a channel in one turn
+LONG = 0.004  # that datagrams of the fast channel may take in one turn [s]
+BUFFER = 4 * 2**20  # of the fast channel's sockets; the system may grant less [B]
+_BULK = bytes((BULK,))
 Address = tuple[str, int]
+
+
+class Things(Protocol):
+    """An end's part of what travels on the fast channel alone."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether more waits to be sent than one turn takes."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """A datagram of the other end's.
+
+        Raises:
+            SealError: it is none.
+        """
+
+    def turn(self, now: float) -> Iterator[bytes]:
+        """Datagrams to send now; one that is not taken off is offered again."""
 
 
 class Carrier:
     """Takes datagrams to an end and away from it. From one thread."""
 
-    def __init__(self, end: End, *, own: Sequence[Address] = (), other: Sequence[Address] = ()) -> None:
+    def __init__(
+        self, end: End, *, own: Sequence[Address] = (), other: Sequence[Address] = (), things: Things | None = None
+    ) -> None:
         """Open a socket a channel, slow and fast.
 
         Args:
             end: of the link.
             own: where to listen; none: anywhere.
             other: where the other end is; none: it makes itself known.
+            things: of the fast channel; None: there are none.
 
         Raises:
             ConfigurationError: a port is another's.
         """
-        self._end = end
+        self._end, self._things = end, things
         self._selector = selectors.DefaultSelector()
         self._sockets: dict[Channel, socket.socket] = {}
         self._peers: dict[Channel, Address] = {Channel(place): address for place, address in enumerate(other)}
@@ -50,27 +78,54 @@ class Carrier:
                     self.close()
                     raise ConfigurationError(f"UDP port {own[channel]}: {error.strerror}") from None
             self._selector.register(each, selectors.EVENT_READ, channel)
+        for which in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+            self._sockets[Channel.FAST].setsockopt(socket.SOL_SOCKET, which, BUFFER)
 
     def wait(self, longest: float) -> None:
         """Until something comes, at most so long [s]."""
-        self._selector.select(longest)
+        self._selector.select(0.0 if self._things is not None and self._things.busy else longest)
 
     def turn(self, now: float) -> None:
         """Take what has come, send what is due; ``now``: monotonic [s]."""
-        for channel in Channel:
-            for _ in range(MOST):
-                try:
-                    data, address = self._sockets[channel].recvfrom(LONGEST)
-                except OSError:  # nothing more; or nobody is there, as ICMP tells
-                    break
-                if self._end.receive(data, channel, now):
-                    (self._peers if data[0] == SEALED and not self._fixed else self._callers)[channel] = address
+        for _ in range(MOST):
+            if not self._take(Channel.SLOW, now):
+                break
+        until = time.perf_counter() + LONG
+        while self._take(Channel.FAST, now) and time.perf_counter() < until:
+            pass
         for channel, data in self._end.turn(now):
             caller = None if self._fixed or data[0] == SEALED else self._callers.get(channel)
             to = caller or self._peers.get(channel)
             if to is not None:
                 with contextlib.suppress(OSError):  # it is lost, as others are
                     self._sockets[channel].sendto(data, to)
+        self._give(now)
+
+    def _take(self, channel: Channel, now: float) -> bool:
+        """A datagram; whether there was one."""
+        try:
+            data, address = self._sockets[channel].recvfrom(LONGEST)
+        except OSError:  # nothing more; or nobody is there, as ICMP tells
+            return False
+        if self._things is not None and channel is Channel.FAST and data[:1] == _BULK:
+            try:
+                self._things.receive(data, now)
+            except SealError as error:
+                self._end.refuse(error)
+        elif self._end.receive(data, channel, now):
+            (self._peers if data[0] == SEALED and not self._fixed else self._callers)[channel] = address
+        return True
+
+    def _give(self, now: float) -> None:
+        to = self._peers.get(Channel.FAST)
+        if self._things is None or to is None:
+            return
+        send = self._sockets[Channel.FAST].sendto
+        for data in self._things.turn(now):
+            try:
+                send(data, to)
+            except OSError:  # the buffer is full, or nobody is there
+                return
 
     def close(self) -> None:
         """Give back the sockets."""

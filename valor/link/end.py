@@ -163,10 +163,14 @@ class End:
                 self.heard_meter.count(shares, now)
             return True
         except SealError as error:
-            why = str(error)
-            if len(self.refused) < 64 or why in self.refused:
-                self.refused[why] = self.refused.get(why, 0) + 1
+            self.refuse(error)
             return False
+
+    def refuse(self, error: SealError) -> None:
+        """Count a datagram that is not taken, by why."""
+        why = str(error)
+        if len(self.refused) < 64 or why in self.refused:
+            self.refused[why] = self.refused.get(why, 0) + 1
 
     def _hear(self, data: bytes, channel: Channel) -> None:
         before = self.session.number

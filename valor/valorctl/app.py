@@ -20,6 +20,7 @@ from valor.valorctl.verbs import (
     experiments,
     hosts,
     lifecycle,
+    links,
     motion,
     observation,
     robots,
@@ -135,6 +136,7 @@ for _group in (
     experiments,
     diagnosis,
     hosts,
+    links,
     tracing,
     video,
 ):

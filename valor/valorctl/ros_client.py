@@ -34,12 +34,13 @@ class GoalRefusedError(ValorError):
 class RosClient:
     """A node in the instance's ROS domain and namespace. Used from one thread."""
 
-    def __init__(self, instance: Instance, check: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, instance: Instance, check: Callable[[], None] = lambda: None, domain: int | None = None) -> None:
         """Join the instance.
 
         Args:
             instance: must be up.
             check: called while waiting; may raise to give up.
+            domain: of ROS; None: the instance's.
 
         Raises:
             ValorError: the instance obeys nobody on ROS 2.
@@ -51,7 +52,7 @@ class RosClient:
         self._context = rclpy.Context()
         rclpy.init(
             context=self._context,
-            domain_id=instance.settings().ros_domain_id,
+            domain_id=instance.settings().ros_domain_id if domain is None else domain,
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self._node = rclpy.create_node(
@@ -117,6 +118,11 @@ class RosClient:
             ValorError: not within ``timeout`` [s]; begins with ``what``.
         """
         self._spin(done, timeout, what)
+
+    def rest(self) -> None:
+        """Hear for a moment."""
+        self._check()
+        self._executor.spin_once(timeout_sec=0.02)
 
     def call_action(
         self, action_type: Any, name: str, goal: Any, timeout: float, hear: Callable[[Any], None] | None = None

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import random
+import shutil
 from collections import namedtuple
 from pathlib import Path
 
@@ -168,7 +169,7 @@ def test_a_robot_that_describes_what_was_not_asked_for_writes_nothing(tmp_path: 
 def test_a_full_disk_is_told_before_anything_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     filed(tmp_path / "robot", 10_000)
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(sinks.shutil, "disk_usage", lambda _: usage(1 << 40, 1 << 40, 1000))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1 << 40, 1 << 40, 1000))
     link = pair(tmp_path)
     link.fetcher.errands.want(NAME)
     link.until(lambda: link.fetcher.errands.all[NAME].ended, LONG)
@@ -192,7 +193,7 @@ def test_a_disk_that_is_full_on_the_way_ends_this_bag_and_no_other(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return pwrite(descriptor, content, at)
 
-    monkeypatch.setattr(sinks.os, "pwrite", full)
+    monkeypatch.setattr(os, "pwrite", full)
     link.fetcher.errands.want(NAME)
     link.fetcher.errands.want("2026-01-01_00-00-01.mcap")
     link.until(lambda: here(link, "2026-01-01_00-00-01.mcap"), LONG)

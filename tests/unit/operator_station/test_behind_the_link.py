@@ -1,10 +1,16 @@
 """The page behind the link: ages are the link's, not those of what comes by; what the link says is shown."""
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from sensor_msgs.msg import JointState
-from vigir_humanoid_control_msgs.msg import ControlModeStatus
+import io
 
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from PIL import Image
+from sensor_msgs.msg import CompressedImage, JointState
+from vigir_humanoid_control_msgs.msg import ControlModeStatus
+from viser import ViserServer
+
+from valor.common.fetching import PICTURE
 from valor.operator_station.intake import Intake
+from valor.operator_station.view import NONE, View
 
 
 def say(intake: Intake, topic: str, message: object, now: float) -> None:
@@ -46,3 +52,23 @@ def test_the_page_says_what_a_lost_operator_means_and_what_became_of_commands() 
     assert "goes on to its end" in lost and "goal_pose: done" in command
     say(intake, "link/status", status(when_lost="stop", lost_after="7", **values), 0.0)
     assert "stopped 7 s after" in intake.heard.link.lines()[1]
+
+
+def test_a_picture_is_shown_with_the_age_that_the_link_tells() -> None:
+    server = ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        view, intake = View(server), Intake(linked=True)
+        view.draw(intake.heard, 0.0)
+        assert view._text.content == NONE and view._image is None
+        say(intake, PICTURE, CompressedImage(format="jpeg", data=b"no picture at all"), 0.0)
+        view.draw(intake.heard, 0.0)
+        assert view._image is None, "what is no picture is not shown"
+        content = io.BytesIO()
+        Image.new("RGB", (1280, 960), (200, 30, 30)).save(content, "jpeg")
+        say(intake, PICTURE, CompressedImage(format="jpeg", data=content.getvalue()), 1.0)
+        say(intake, "link/status", status(picture_age="7.000"), 1.0)
+        view.draw(intake.heard, 3.0)
+        assert view._image is not None and view._image.image.shape == (480, 640, 3)
+        assert view._text.content == "The picture is 9.0 s old."
+    finally:
+        server.stop()

@@ -32,7 +32,7 @@ class Described(Struct, frozen=True, array_like=True):
     """A thing that is to be had.
 
     Attributes:
-        name: a file's, without a folder.
+        name: a file's, without a folder; a picture's: the frame of its camera.
         size: [B].
         digest: SHA-256.
         clock: when it was so, by the robot end's clock [ms]; 0: it does not age.

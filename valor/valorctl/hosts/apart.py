@@ -28,6 +28,7 @@ class LinkRow(Table, kw_only=True):
     through: str = ""  # ADDRESS:PORT of what stands between, UDP; the fast channel has the port after it
     when_lost: WhenLost = "go_on"
     lost_after: Positive = 10.0  # [s]
+    picture: str = Link().picture  # the topic of the robot's view, sensor_msgs/CompressedImage
 
     def __post_init__(self) -> None:
         if self.address:
@@ -46,6 +47,7 @@ class LinkRow(Table, kw_only=True):
         return Link(
             domain=self.domain, when_lost=self.when_lost, lost_after=self.lost_after,
             listen=listen, robot=address or listen, slow=slow, fast=slow and slow + 1,
+            picture=self.picture,
         )  # fmt: skip
 
 
