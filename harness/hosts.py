@@ -100,6 +100,29 @@ class Hosts:
         agent.terminate()
         agent.wait(30.0)
 
+    @contextmanager
+    def little_disk(self, name: str, size: str) -> Iterator[Path]:
+        """While it lasts a computer's agent has the instance's folder, empty, on a disk of its own of a size.
+
+        Raises:
+            ComputersError: no disk is to be had here.
+        """
+        folder = self.home(name) / self.instance
+        folder.mkdir(exist_ok=True)
+        inside = ("nsenter", "--target", str(self._agents[name].pid), "--mount")
+        made = subprocess.run(
+            [*inside, "mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if made.returncode:
+            raise ComputersError(f"no small disks here: {made.stderr.strip()}")
+        try:
+            yield Path(f"/proc/{self._agents[name].pid}/root") / folder.relative_to("/")
+        finally:
+            subprocess.run([*inside, "umount", "--lazy", str(folder)], check=False)
+
     def kill_agent(self, name: str) -> None:
         """End a computer's agent, which has no time to say anything."""
         self._agents[name].kill()

@@ -150,6 +150,21 @@ def test_other_code_and_another_robot_are_refused_by_name(trio: Hosts, tmp_path:
         trio.start_agent("perception")
 
 
+def test_a_full_disk_is_named_with_its_host_and_nothing_is_begun(trio: Hosts) -> None:
+    try:
+        with trio.little_disk("perception", "24k") as folder:
+            said = trio.valorctl("operator", "up", "--deployment", str(trio.file), expect=1)
+            assert f"perception: {trio.home('perception') / 'trio'}: No space left on device" in said
+            assert left(trio) == [] and not [file for file in folder.iterdir() if file.is_file()]
+    except ComputersError as error:
+        pytest.skip(str(error))
+    trio.valorctl("operator", "up", "--deployment", str(trio.file))
+    try:
+        assert trio.states("operator") == {"bifrostd": "ready", "footstep_converter": "ready"}
+    finally:
+        trio.valorctl("operator", "down", "--deployment", str(trio.file))
+
+
 def test_another_deployments_keys_get_no_word(trio: Hosts) -> None:
     (trio.folder / "stranger.yaml").write_text(trio.file.read_text())
     (trio.folder / "stranger").mkdir()
