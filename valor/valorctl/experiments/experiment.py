@@ -147,9 +147,13 @@ class Experiment:
             known = isinstance(error, ValorError)
             reason = str(error) if known else f"{type(error).__name__}: {error}"
             details = "" if known else traceback.format_exc()
-            Failure(experiment=self.name, command=command, started=started, reason=reason, details=details).save(
-                options.out
-            )
+            failure = Failure(experiment=self.name, command=command, started=started, reason=reason, details=details)
+            try:
+                failure.save(options.out)
+            except OSError as lost:
+                if known:
+                    raise error from None
+                raise ValorError(f"{_lost(lost)}; the experiment had ended with {reason}") from None
             raise
         result = Result(
             experiment=self.name, title=self.title, reproduces=self.reproduces, command=command, started=started,
@@ -157,4 +161,11 @@ class Experiment:
             tables=run.tables, pictures=run.pictures, files=[str(file.relative_to(run.out)) for file in run.files],
             seconds=round(time.monotonic() - began, 1),
         )  # fmt: skip
-        return result, result.save(options.out)
+        try:
+            return result, result.save(options.out)
+        except OSError as lost:
+            raise ValorError(f"{_lost(lost)}; the result is lost") from None
+
+
+def _lost(error: OSError) -> str:
+    return f"{error.filename}: {error.strerror}: expected the folder to stay while the experiment runs"
