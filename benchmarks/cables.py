@@ -56,6 +56,7 @@ AFTER = 3.0  # looked at behind everything being ready [s]
 PERIOD = 0.1  # between velocities [s]
 LOW = 0.25  # of a pelvis that has sunk: the robot is not on its feet [m]
 LEAN = 0.7  # cosine of an upright pelvis' lean
+BEGUN = 30.0  # what the robot is asked to do [s]
 LIMIT = 300.0  # of one fault, besides its length [s]
 
 
@@ -190,6 +191,16 @@ class Bench:
         time.sleep(max(0.0, end - time.monotonic()))
         return count
 
+    def _do(self, case: Case) -> None:
+        """Bring the robot to do what it is to do, asked again and again as a person would."""
+        asked = time.time()
+        while case.begin:
+            self._keep(case.begin, 3.0, case.repeated)
+            if case.begun is None or any(map(case.begun, self._events(asked))):
+                return
+            if time.time() - asked > BEGUN:
+                raise ValueError(f"{case.begin}: not obeyed within {BEGUN:g} s")
+
     def _begin(self, fault: str, host: str) -> None:
         if fault != "agent":
             self._hosts.network.pull(host)  # nobody hears of it: without power nothing is closed
@@ -212,14 +223,10 @@ class Bench:
         row = Row(fault, host, case.name, seconds)
         if (said := self._mode(case.mode)) != "yes":
             raise ValueError(f"mode {case.mode}: {said}")
-        asked = time.time()
-        if case.begin:
-            self._keep(case.begin, 3.0, case.repeated)
+        self._do(case)
         first = self._states(time.time())[-1]
         if first["behavior"] != case.mode:
             raise ValueError(f"behavior {first['behavior']}; expected {case.mode}")
-        if case.begun is not None and not any(map(case.begun, self._events(asked))):
-            raise ValueError(f"{case.begin}: not obeyed")
         self._begin(fault, host)
         began, pulled = time.monotonic(), time.time()
         row.sent = self._keep(case.late, max(0.0, seconds - STALE), case.repeated)
