@@ -41,8 +41,13 @@ class Things(Protocol):
             SealError: it is none.
         """
 
-    def turn(self, now: float) -> Iterator[bytes]:
-        """Datagrams to send now; one that is not taken off is offered again."""
+    def turn(self, now: float, all_heard: bool, /) -> Iterator[bytes]:
+        """Datagrams to send now; one that is not taken off is offered again.
+
+        Args:
+            now: monotonic [s].
+            all_heard: nothing that has come waits to be received.
+        """
 
 
 class Carrier:
@@ -91,7 +96,7 @@ class Carrier:
             if not self._take(Channel.SLOW, now):
                 break
         until = time.perf_counter() + LONG
-        while self._take(Channel.FAST, now) and time.perf_counter() < until:
+        while (more := self._take(Channel.FAST, now)) and time.perf_counter() < until:
             pass
         for channel, data in self._end.turn(now):
             caller = None if self._fixed or data[0] == SEALED else self._callers.get(channel)
@@ -99,7 +104,7 @@ class Carrier:
             if to is not None:
                 with contextlib.suppress(OSError):  # it is lost, as others are
                     self._sockets[channel].sendto(data, to)
-        self._give(now)
+        self._give(now, not more)
 
     def _take(self, channel: Channel, now: float) -> bool:
         """A datagram; whether there was one."""
@@ -116,12 +121,12 @@ class Carrier:
             (self._peers if data[0] == SEALED and not self._fixed else self._callers)[channel] = address
         return True
 
-    def _give(self, now: float) -> None:
+    def _give(self, now: float, all_heard: bool) -> None:
         to = self._peers.get(Channel.FAST)
         if self._things is None or to is None:
             return
         send = self._sockets[Channel.FAST].sendto
-        for data in self._things.turn(now):
+        for data in self._things.turn(now, all_heard):
             try:
                 send(data, to)
             except OSError:  # the buffer is full, or nobody is there

@@ -97,7 +97,7 @@ class Fetcher:
         asked = sink.chunks.arrived(chunk.place)
         if asked is None:
             return
-        self._pace.came(now - asked if asked else 0.0)
+        self._pace.came(max(now - asked, 1e-6) if asked else 0.0)
         self.taken += 1
         try:
             sink.write(chunk.place, chunk.content)
@@ -204,28 +204,28 @@ class Fetcher:
         if sink.chunks.whole:
             self._check(wanted, sink)
 
-    def turn(self, now: float) -> Iterator[bytes]:
-        """Datagrams to send now."""
+    def turn(self, now: float, all_heard: bool = True) -> Iterator[bytes]:
+        """Datagrams to send now; ``all_heard``: nothing that has come waits to be received."""
         self._renew()
         self._now = now
         self._checked()
         if not self._lane.session.established:
             return
-        if self._open and now - self._heard > OPEN:
+        if self._open and all_heard and now - self._heard > OPEN:
             self._close()
         if now >= self._news_due:
             self._news_due = now + PROBES
             yield self._lane.seal(said(Ask(self.errands.unknown())))
         if self._open:
             self._choose()
-            yield from self._ask(now)
+            yield from self._ask(now, all_heard)
 
-    def _ask(self, now: float) -> Iterator[bytes]:
+    def _ask(self, now: float, all_heard: bool) -> Iterator[bytes]:
         if self._active is None:
             return
         described, sink = self._active
         chunks = sink.chunks
-        if late := chunks.expire(now - self._pace.patience):
+        if all_heard and (late := chunks.expire(now - self._pace.patience)):
             self._pace.lost(late)
         if now >= self._note_due:
             self._note_due = now + NOTED

@@ -104,7 +104,7 @@ class Giver:
                     return
                 self._queue[word.thing, place] = None
 
-    def turn(self, now: float) -> Iterator[bytes]:
+    def turn(self, now: float, _all_heard: bool = True) -> Iterator[bytes]:
         """Datagrams to send now, until ``TURN`` is over; nothing is taken off that was not asked for."""
         self._renew()
         if now - self._heard > FORGOTTEN:
