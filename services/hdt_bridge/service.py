@@ -22,7 +22,7 @@ from valor.common.topics import STATISTICS, hdt_topics
 from valor.devices.table import HdtBifrost
 from valor.hdt_bridge.driver_report import DRIVER, statistics
 from valor.hdt_bridge.twin import Twin
-from valor.ros.node import WALL, RosSide, Untouched
+from valor.ros.node import RosSide, Untouched
 from valor.ros.taking import take, uncalled, waiting
 from valor.service import Context, quiet_collector
 
@@ -39,15 +39,16 @@ class _Limb:
         self.commands, self._states = commands.subscriber(bifrost_node), states.publisher(bifrost_node)
         self._ros_commands = ros_node.create_publisher(RosCommand, f"hdt/{name}/command", _NEWEST)
         self._ros_states = ros_node.create_subscription(
-            RosState, f"hdt/{name}/state", uncalled, _NEWEST, callback_group=untouched
+            RosState, f"hdt/{name}/state", uncalled, _NEWEST, callback_group=untouched, raw=True
         )
         self._command, self._state = Twin(HdtCommand, RosCommand), Twin(HdtState, RosState)
 
-    def forward_command(self) -> None:
-        """To ROS, if there is a new one."""
+    def forward_command(self) -> bool:
+        """To ROS, if there is a new one; whether there was."""
         received = self.commands.latest()
         if received is not None:
-            self._ros_commands.publish(self._command.to_ros(received, WALL.now().to_msg()))
+            self._ros_commands.publish(self._command.to_ros(received, time.time_ns()))
+        return received is not None
 
     def forward_state(self) -> bool:
         """To Bifrost, if there is a new one; whether there was."""
@@ -83,16 +84,17 @@ class HdtBridge:
         quiet_collector()
         self._own.state("ready")
         self._side.life.tell(True)
-        commands = [limb.commands for limb in self._limbs]
+        limbs = {limb.commands: limb for limb in self._limbs}
+        commands = bifrost.Poller(list(limbs))
         look_at = 0.0
         while not self._stopping.is_set():
             began = time.perf_counter()
-            ready = bifrost.wait(commands, LOOK_EVERY)
+            ready = commands.look(LOOK_EVERY)
             waited = time.perf_counter() - began
-            news = bool(ready)
+            news = False
+            for each in ready:
+                news = limbs[each].forward_command() or news
             for limb in self._limbs:
-                if limb.commands in ready:
-                    limb.forward_command()
                 news = limb.forward_state() or news
             if began >= look_at:
                 look_at = began + 0.1
@@ -102,6 +104,7 @@ class HdtBridge:
                 self._own.cycle(began, waited)
             else:
                 self._own.idle()
+        commands.close()
 
     def close(self) -> None:
         """Leave ROS."""

@@ -92,11 +92,13 @@ class ModuleBus:
         """Begin a cycle of a limb: set-points to whom one knows; who are you, to whom one does not."""
         self._frame = self._frame % 0xFFFF + 1
         setpoints = limb.setpoints(self._frame, now)
+        whom = []
         for segment in self._of[limb.name]:
             segment.answered = False
             if segment.known:
-                part = None if setpoints is None else setpoints.of(segment.part)
-                self._send(hdt_bus.command(segment.number, self._frame, part))
+                whom.append((segment.number, segment.part))
+        for frame in hdt_bus.commands(whom, self._frame, setpoints):
+            self._send(frame)
 
     def inquire(self, now: float) -> None:
         """Ask those who they are whom one does not know, now and then."""

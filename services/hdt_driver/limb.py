@@ -99,6 +99,16 @@ class Limb:
 
     def measured(self, part: slice, state: SegmentState) -> None:
         """A segment answered."""
+        if state.command_sequence in self._sent:
+            self.obeyed = self._sent[state.command_sequence]
+        self.voltage = state.voltage
+        # As nearly always: all is well and was, and nothing has jumped.
+        if not (self.fault.any() or state.fault.any()) and (
+            np.abs(state.position - self.position[part]).max() <= JUMP
+        ):
+            self.position[part], self.velocity[part] = state.position, state.velocity
+            self.effort[part], self.temperature[part] = state.effort, state.temperature
+            return
         back = self.fault[part] & _NO_ANSWER > 0
         # What moves farther between two states than it can is an encoder's mistake: where it was is believed, until it
         # says that again. After a silence anything may be true.
@@ -107,13 +117,10 @@ class Limb:
         self.velocity[part] = np.where(jumped, 0.0, state.velocity)
         self.effort[part], self.temperature[part] = state.effort, state.temperature
         self.fault[part] = state.fault | jumped.astype(np.uint8) * _ENCODER
-        self.voltage = state.voltage
         self._led[part] &= ~back & (self.fault[part] & _UNLED == 0)
         if back.any():  # where it is now, it may have come by itself
             self._held[part] = np.where(back, state.position, self._held[part])
             self._effort[part] = np.where(back, 0.0, self._effort[part])
-        if state.command_sequence in self._sent:
-            self.obeyed = self._sent[state.command_sequence]
 
     def silent(self, part: slice) -> None:
         """A segment does not answer any more."""
@@ -139,13 +146,14 @@ class Limb:
         position = np.minimum(np.maximum(wanted.position, self._lower), self._upper)
         if not self._led.all():
             self._lead(position, now)
-        led = self._led
         step = np.minimum(np.maximum(position - self._held, -self._step), self._step)
-        self._held = np.where(led, self._held + step, self._held)
-        self._effort = np.where(led, wanted.effort, self._effort)
-        velocity = np.where(
-            led, np.minimum(np.maximum(wanted.velocity, -self._velocity_limit), self._velocity_limit), 0
-        )
+        velocity = np.minimum(np.maximum(wanted.velocity, -self._velocity_limit), self._velocity_limit)
+        if (led := self._led).all():
+            self._held, self._effort = self._held + step, wanted.effort.copy()
+        else:
+            self._held = np.where(led, self._held + step, self._held)
+            self._effort = np.where(led, wanted.effort, self._effort)
+            velocity = np.where(led, velocity, 0.0)
         effort = np.minimum(np.maximum(self._effort, -self._effort_limit), self._effort_limit)
         self._sent[frame] = target.sequence
         if len(self._sent) > 64:

@@ -9,19 +9,18 @@
 
 from __future__ import annotations
 
-import array
 import sys
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Mapping, Sequence, Iterable
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from valor_msgs.msg import HdtCommand, HdtState
 
-from valor.common.arrays import FloatArray
 from valor.common.instance import Settings
 from valor.devices.hdt_bus import Setpoints
 from valor.hdt_driver.limb import Command, Limb
+from valor.ros.fixed_layout import Layout, Stream
 from valor.ros.node import WALL, RosSide, Untouched
 from valor.ros.taking import take, uncalled
 
@@ -31,19 +30,20 @@ NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=Reliab
 class DriverNode:
     """Node ``hdt_driver``."""
 
-    def __init__(self, settings: Settings, environment: Mapping[str, str], limbs: Iterable[Limb]) -> None:
+    def __init__(self, settings: Settings, environment: Mapping[str, str], limbs: Sequence[Limb]) -> None:
         self._side = RosSide("hdt_driver", settings, environment, sys.argv[1:], sim_time=False)
         self._node = self._side.node
         untouched = Untouched()
         self._commands = {
             limb.name: self._node.create_subscription(
-                HdtCommand, f"hdt/{limb.name}/command", uncalled, NEWEST, callback_group=untouched
+                HdtCommand, f"hdt/{limb.name}/command", uncalled, NEWEST, callback_group=untouched, raw=True
             )
             for limb in limbs
         }
+        self._heard = {name: Stream(HdtCommand) for name in self._commands}
         self._states = {
-            name: (self._node.create_publisher(HdtState, f"hdt/{name}/state", NEWEST), HdtState())
-            for name in self._commands
+            limb.name: (self._node.create_publisher(HdtState, f"hdt/{limb.name}/state", NEWEST), _state(limb))
+            for limb in limbs
         }
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "diagnostics", 10)
         self._side.life.configured()
@@ -62,31 +62,23 @@ class DriverNode:
         taken = take(self._commands[limb])
         if taken is None:
             return None
-        message = taken[0]
+        numbers = self._heard[limb].received(taken[0])
         return Command(
-            message.sequence,
-            Setpoints(
-                np.frombuffer(message.mode, dtype=np.uint8) if len(message.mode) else np.zeros(0, np.uint8),
-                *(_vector(getattr(message, name)) for name in _NUMBERS),
-            ),
+            numbers["sequence"].item(),
+            Setpoints(numbers["mode"].copy(), *(numbers[name].copy() for name in _SETPOINTS)),
         )
 
     def publish(self, limb: Limb, sequence: int) -> None:
         """A limb's state, as far as it is known."""
-        publisher, message = self._states[limb.name]
-        stamp = WALL.now()
-        message.header.stamp = stamp.to_msg()
-        message.header.frame_id = limb.name
-        message.time = stamp.nanoseconds
-        message.sequence = sequence
-        message.command_sequence = limb.obeyed
-        message.position = _array(limb.position)
-        message.velocity = _array(limb.velocity)
-        message.effort = _array(limb.effort)
-        message.temperature = _array(limb.temperature)
-        message.voltage = limb.voltage
-        message.fault = array.array("B", limb.fault.tobytes())
-        publisher.publish(message)
+        publisher, layout = self._states[limb.name]
+        numbers, now = layout.numbers, time.time_ns()
+        layout.stamp(now)
+        for name, number in (("time", now), ("sequence", sequence), ("command_sequence", limb.obeyed)):
+            numbers[name][0] = number
+        numbers["voltage"][0] = limb.voltage
+        for name in _STATE:
+            numbers[name][:] = getattr(limb, name)
+        publisher.publish(bytes(layout.bytes))
 
     def diagnose(self, rows: Iterable[tuple[str, str, bool, str, Mapping[str, object]]]) -> None:
         """Publish rows of (name, hardware id, whether all is well, message, values)."""
@@ -105,12 +97,14 @@ class DriverNode:
         self._diagnostics.publish(message)
 
 
-_NUMBERS = ("position", "velocity", "effort", "stiffness", "damping")
+_SETPOINTS = ("position", "velocity", "effort", "stiffness", "damping")
+_STATE = ("position", "velocity", "effort", "temperature", "fault")
 
 
-def _vector(values: array.array[float]) -> FloatArray:
-    return np.frombuffer(values, dtype=np.float64) if len(values) else np.zeros(0)
-
-
-def _array(values: FloatArray) -> array.array[float]:
-    return array.array("d", values.tobytes())
+def _state(limb: Limb) -> Layout:
+    """A state's, for a limb's joints."""
+    message = HdtState()
+    message.header.frame_id = limb.name
+    for name in _STATE:
+        setattr(message, name, getattr(limb, name))
+    return Layout(message)

@@ -19,10 +19,12 @@ that were told nothing yet since they were switched on hold where they are, by t
 
 from __future__ import annotations
 
+import functools
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Any
 
 import can
 import numpy as np
@@ -38,36 +40,36 @@ SETPOINTS = 1  # flag of a command
 WATCHDOG = 0.25  # [s]
 
 _SEGMENT = 0x03F
-_COMMAND_HEADER, _STATE_HEADER = struct.Struct("<HH"), struct.Struct("<HHHH")
-_SETPOINT = np.dtype(
-    [
-        ("position", "<i4"),
-        ("velocity", "<i2"),
-        ("effort", "<i2"),
-        ("stiffness", "<u2"),
-        ("damping", "<u2"),
-        ("mode", "u1"),
-        ("reserved", "u1"),
-    ]
-)
-_MEASURED = np.dtype(
-    [("position", "<i4"), ("velocity", "<i2"), ("effort", "<i2"), ("temperature", "i1"), ("fault", "u1")]
-)
+_COMMAND_HEADER = struct.Struct("<HH")
 _COMMAND_SIZE, _STATE_SIZE = 64, 48  # lengths that CAN FD has, from 60 and 48 bytes
-_UNITS = {"position": 1e-6, "velocity": 1e-3, "effort": 0.01, "stiffness": 0.1, "damping": 0.01}
 _VOLT = 0.01
+# What a number of each kind is in SI units; of temperatures, faults and modes it is itself.
+_SETPOINT_UNITS = np.array([1e-6, 1e-3, 0.01, 0.1, 0.01, 1.0])[:, np.newaxis]
+_MEASURED_UNITS = np.array([1e-6, 1e-3, 0.01, 1.0, 1.0])[:, np.newaxis]
+_SETPOINT, _MEASURED = "ihhHHBx", "ihhbB"  # a joint's, as ``struct`` has them
 
 
-def _columns(layout: np.dtype[np.void]) -> tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]:
-    """The numbers with a unit in a layout: names, and (m, 1) each: how many units a number is, the least, the most."""
-    names = tuple(name for name in _UNITS if name in (layout.names or ()))
-    limits = [np.iinfo(layout[name]) for name in names]
-    columns = [[1.0 / _UNITS[name] for name in names], [each.min for each in limits], [each.max for each in limits]]
-    scale, least, most = (np.array(column, dtype=np.float64)[:, np.newaxis] for column in columns)
-    return names, scale, least, most
+@functools.cache
+def _setpoint_layout(joints: int) -> struct.Struct:
+    return struct.Struct("<HH" + joints * _SETPOINT)
 
 
-_SETPOINT_COLUMNS, _MEASURED_COLUMNS = _columns(_SETPOINT), _columns(_MEASURED)
+@functools.cache
+def _measured_layout(joints: int) -> struct.Struct:
+    return struct.Struct("<HHHH" + joints * _MEASURED)
+
+
+def _columns(layout: str, units: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of each kind of number in a joint's layout, (m, 1) each: how many a unit is, the least, the most."""
+    limits = [np.iinfo(np.dtype(kind)) for kind in layout.removesuffix("x")]
+    least, most = (
+        np.array(bounds, dtype=np.float64)[:, np.newaxis]
+        for bounds in zip(*((each.min, each.max) for each in limits), strict=True)
+    )
+    return 1.0 / units, least, most
+
+
+_SETPOINT_COLUMNS, _MEASURED_COLUMNS = _columns(_SETPOINT, _SETPOINT_UNITS), _columns(_MEASURED, _MEASURED_UNITS)
 
 
 class Fault(IntFlag):
@@ -158,14 +160,29 @@ def command(segment: int, sequence: int, setpoints: Setpoints | None) -> can.Mes
         sequence: of the command, 1 to 65535.
         setpoints: None: nothing but a state is asked for.
     """
-    data = bytearray(_COMMAND_SIZE)
-    _COMMAND_HEADER.pack_into(data, 0, sequence, SETPOINTS if setpoints else 0)
-    if setpoints is not None:
-        fields = np.frombuffer(data, _SETPOINT, setpoints.mode.size, _COMMAND_HEADER.size)
-        fields["mode"] = setpoints.mode
-        to = setpoints
-        _write(fields, _SETPOINT_COLUMNS, (to.position, to.velocity, to.effort, to.stiffness, to.damping))
-    return _frame(COMMAND + segment, data)
+    return commands([(segment, slice(None))], sequence, setpoints)[0]
+
+
+def commands(whom: Iterable[tuple[int, slice]], sequence: int, setpoints: Setpoints | None) -> list[can.Message]:
+    """As ``command``, for some segments of a limb, whose set-points are brought to numbers all at once.
+
+    Args:
+        whom: segments, and which of the limb's joints each has.
+        sequence: of all of them.
+        setpoints: of the limb.
+    """
+    if setpoints is None:
+        plain = _COMMAND_HEADER.pack(sequence, 0).ljust(_COMMAND_SIZE, b"\0")
+        return [_frame(COMMAND + segment, bytearray(plain)) for segment, _ in whom]
+    to = setpoints
+    numbers = _numbers((to.position, to.velocity, to.effort, to.stiffness, to.damping, to.mode), _SETPOINT_COLUMNS)
+    frames = []
+    for segment, part in whom:
+        data, joints = bytearray(_COMMAND_SIZE), numbers[part]
+        values = [number for joint in joints for number in joint]
+        _setpoint_layout(len(joints)).pack_into(data, 0, sequence, SETPOINTS, *values)
+        frames.append(_frame(COMMAND + segment, data))
+    return frames
 
 
 def parse_command(frame: can.Message, joints: int) -> tuple[int, Setpoints | None]:
@@ -175,24 +192,23 @@ def parse_command(frame: can.Message, joints: int) -> tuple[int, Setpoints | Non
         FrameError: it is too short.
     """
     _require(frame, _COMMAND_SIZE)
-    sequence, flags = _COMMAND_HEADER.unpack_from(frame.data)
+    sequence, flags, *numbers = _setpoint_layout(joints).unpack_from(frame.data)
     if not flags & SETPOINTS:
         return sequence, None
-    fields = np.frombuffer(frame.data, _SETPOINT, joints, _COMMAND_HEADER.size)
-    return sequence, Setpoints(
-        mode=fields["mode"].copy(), **{name: fields[name] * unit for name, unit in _UNITS.items()}
-    )
+    table = np.array(numbers, dtype=np.float64).reshape(joints, len(_SETPOINT_UNITS)).T * _SETPOINT_UNITS
+    position, velocity, effort, stiffness, damping, mode = table
+    return sequence, Setpoints(mode.astype(np.uint8), position, velocity, effort, stiffness, damping)
 
 
 def state(segment: int, measured: SegmentState) -> can.Message:
     """A state frame."""
     data = bytearray(_STATE_SIZE)
     volts = min(0xFFFF, max(0, round(measured.voltage / _VOLT)))
-    _STATE_HEADER.pack_into(data, 0, measured.command_sequence, measured.sequence, volts, 0)
-    fields = np.frombuffer(data, _MEASURED, measured.position.size, _STATE_HEADER.size)
-    _write(fields, _MEASURED_COLUMNS, (measured.position, measured.velocity, measured.effort))
-    fields["temperature"] = np.minimum(np.maximum(measured.temperature, -128.0), 127.0)
-    fields["fault"] = measured.fault
+    columns = measured.position, measured.velocity, measured.effort, measured.temperature, measured.fault
+    values = [number for joint in _numbers(columns, _MEASURED_COLUMNS) for number in joint]
+    _measured_layout(measured.position.size).pack_into(
+        data, 0, measured.command_sequence, measured.sequence, volts, 0, *values
+    )
     return _frame(STATE + segment, data)
 
 
@@ -203,17 +219,18 @@ def parse_state(frame: can.Message, joints: int) -> SegmentState:
         FrameError: it is too short.
     """
     _require(frame, _STATE_SIZE)
-    command_sequence, sequence, volts, _ = _STATE_HEADER.unpack_from(frame.data)
-    fields = np.frombuffer(frame.data, _MEASURED, joints, _STATE_HEADER.size)
+    command_sequence, sequence, volts, _, *numbers = _measured_layout(joints).unpack_from(frame.data)
+    table = np.array(numbers, dtype=np.float64).reshape(joints, len(_MEASURED_UNITS)).T * _MEASURED_UNITS
+    position, velocity, effort, temperature, fault = table
     return SegmentState(
         command_sequence,
         sequence,
         volts * _VOLT,
-        position=fields["position"] * _UNITS["position"],
-        velocity=fields["velocity"] * _UNITS["velocity"],
-        effort=fields["effort"] * _UNITS["effort"],
-        temperature=fields["temperature"].astype(np.float64),
-        fault=fields["fault"].copy(),
+        position=position,
+        velocity=velocity,
+        effort=effort,
+        temperature=temperature,
+        fault=fault.astype(np.uint8),
     )
 
 
@@ -252,17 +269,13 @@ def _require(frame: can.Message, size: int) -> None:
         raise FrameError(f"frame {frame.arbitration_id:#05x}: {len(frame.data)} bytes, expected {size}")
 
 
-def _write(
-    fields: npt.NDArray[np.void],
-    columns: tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray],
-    values: Sequence[FloatArray],
-) -> None:
-    """Scale, round and clamp values into their fields, all at once: this is done for every frame."""
-    names, scale, least, most = columns
-    numbers = np.array(values)
+def _numbers(values: Sequence[npt.NDArray[Any]], columns: tuple[FloatArray, FloatArray, FloatArray]) -> list[list[int]]:
+    """Scale, round and clamp values, all at once: this is done for every frame. A joint's numbers after another's."""
+    scale, least, most = columns
+    numbers = np.array(values, dtype=np.float64)
     numbers *= scale
     np.rint(numbers, out=numbers)
     np.maximum(numbers, least, out=numbers)
     np.minimum(numbers, most, out=numbers)
-    for name, row in zip(names, numbers, strict=True):
-        fields[name] = row
+    found: list[list[int]] = numbers.T.astype(np.int64).tolist()
+    return found
