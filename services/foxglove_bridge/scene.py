@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import foxglove
+import numpy as np
 from foxglove.channels import SceneUpdateChannel
 from foxglove.messages import (
     ArrowPrimitive,
@@ -30,8 +31,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Foot as Side
 
+import bifrost
 from valor.common.colors import BALANCE, LEFT, RIGHT
 from valor.common.instance import Settings
+from valor.common.messages import GroundTruth
 from valor.foxglove_bridge.shapes import along, color, of_ros, points, pose, size, stamp
 from valor.robot.description import RobotDescription
 from valor.robot.tables import Foot
@@ -43,6 +46,7 @@ TOPIC = "/valor/scene"
 PERIOD = 0.1  # [s]
 STALE = 0.5  # after which what was heard is shown no more [s]
 METRES = 1e-3  # of an arrow, for a newton
+TURNED = 1e-3  # that something turns until it is shown anew [rad]
 LEAST = 1.0  # force that is shown [N]
 
 LIMBS = FEET + HANDS
@@ -94,11 +98,18 @@ class _Source:
 class Scene:
     """The scene, while somebody looks at it."""
 
-    def __init__(self, node: Any, context: foxglove.Context, settings: Settings, robot: RobotDescription) -> None:
-        self._node, self._settings, self._robot = node, settings, robot
+    def __init__(
+        self, node: Any, context: foxglove.Context, settings: Settings, robot: RobotDescription,
+        truth: bifrost.Subscriber[GroundTruth] | None,
+    ) -> None:  # fmt: skip
+        """``truth``: of the simulated world; None: there is none."""
+        self._node, self._settings, self._robot, self._truth = node, settings, robot, truth
         feet = (robot.tables.feet.left, robot.tables.feet.right)
         self._channel = SceneUpdateChannel(TOPIC, context=context)
-        self._world_shown = False
+        self._world: Any = None
+        self._frame = ""  # in which the world is shown; empty: it is not yet
+        # Of its joints, as they are and as they are shown [rad].
+        self._positions, self._turned = np.zeros(0), np.zeros(0)
         soles = dict(zip(FEET, feet, strict=True))
         wrenches = ((limb, WRENCH.format(limb), partial(_contact, foot=soles.get(limb))) for limb in LIMBS)
         balls = ((name, f"flor/state/{name}", partial(_ball, rgb=rgb)) for name, rgb in BALANCE.items())
@@ -121,7 +132,7 @@ class Scene:
         if channel in watched and not self._open:
             for source in self._sources:
                 source.open(self._node)
-            self._open, self._world_shown = True, False
+            self._open, self._frame = True, ""
 
     def show(self) -> int:
         """Tell what is new, ten times a second; how many messages."""
@@ -134,22 +145,38 @@ class Scene:
             message = source.look(now)
             if message is not None:
                 entities.append(source.make(source.name, message))
-                if source.type is PointStamped and not self._world_shown:
-                    entities += self._world(message.header.frame_id)
+                if source.type is PointStamped and not self._frame:
+                    entities += self._ground(message.header.frame_id)
             elif source.gone(now):
                 deletions.append(SceneEntityDeletion(id=source.name))
+        entities += self._fixtures()
         if entities or deletions:
             self._channel.log(SceneUpdate(entities=entities, deletions=deletions), log_time=time.time_ns())
         return bool(entities or deletions)
 
-    def _world(self, frame: str) -> list[SceneEntity]:
+    def _ground(self, frame: str) -> list[SceneEntity]:
         """The ground, where the robot believes that it is; of a real one nobody knows."""
-        self._world_shown = True
+        self._frame, self._turned = frame, np.zeros(0)
         if self._settings.variant == "hardware":
             return []
-        from valor.foxglove_bridge.world import world_entity  # and with it MuJoCo, when somebody looks
+        if self._world is None:
+            from valor.foxglove_bridge.world import World  # and with it MuJoCo, when somebody looks
 
-        return [world_entity(self._settings, self._robot, frame)]
+            self._world = World(self._settings, self._robot)
+        return [self._world.ground(frame)]
+
+    def _fixtures(self) -> list[SceneEntity]:
+        """What turns in the world, if it has turned; of a real one nobody knows."""
+        if self._truth is not None and (received := self._truth.latest()) is not None:
+            self._positions = received.message.fixture_position
+        positions, turned = self._positions, self._turned
+        if self._world is None or not self._frame:
+            return []
+        if turned.size == positions.size and np.abs(positions - turned).max(initial=0.0) < TURNED:
+            return []
+        self._turned = positions
+        entity = self._world.fixtures(self._frame, positions)
+        return [] if entity is None else [entity]
 
 
 def _ball(name: str, told: Any, *, rgb: str) -> SceneEntity:

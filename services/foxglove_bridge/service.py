@@ -10,6 +10,7 @@ from typing import Any
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Listening
+from valor.common.topics import GROUND_TRUTH
 from valor.ros.node import RosSide
 from valor.service import Context, quiet_collector
 
@@ -48,7 +49,8 @@ class FoxgloveBridge:
         self._server = _serve(settings.foxglove, name, channels, self._watchers, meshes)
         self._side = RosSide(context.name, settings, context.instance.environment(), context.arguments, sim_time=False)
         self._channels = RosChannels(self._side.node, channels, meshes)
-        self._scene = Scene(self._side.node, channels, settings, context.robot)
+        truth = GROUND_TRUTH.subscriber(context.node) if settings.variant == "simulation" else None
+        self._scene = Scene(self._side.node, channels, settings, context.robot, truth)
         self._side.life.configured()
         self._address = f"ws://{settings.foxglove.host}:{self._server.port}"
 

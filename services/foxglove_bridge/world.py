@@ -1,13 +1,15 @@
-"""The simulated world's ground as one entity of the scene, by the world's name and seed."""
+"""The simulated world as entities of the scene, by its name and seed: the ground, and what turns on it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import mujoco
 import numpy as np
 from foxglove.messages import CubePrimitive, CylinderPrimitive, SceneEntity, TriangleListPrimitive
 
+from valor.common.arrays import FloatArray
 from valor.common.instance import Settings
 from valor.foxglove_bridge.shapes import color, points, pose, size
 from valor.robot.description import RobotDescription
@@ -20,40 +22,57 @@ _FLOOR_COLOR = "d3d7db"
 _FINE = 0.1  # between two points of a height field, of which every n-th is drawn [m]
 
 
-def world_entity(settings: Settings, robot: RobotDescription, frame: str) -> SceneEntity:
-    """The ground.
+class World:
+    """A world's shapes."""
 
-    Args:
-        settings: with the world's name, and the seed of all that is random in it.
-        robot: by whose size it is made.
-        frame: in which the robot stood above the origin when it started.
+    def __init__(self, settings: Settings, robot: RobotDescription) -> None:
+        """Make it.
 
-    Raises:
-        ConfigurationError: there is no such world.
-    """
-    model = worlds.load(settings.world, settings.seed, worlds.size_of(robot)).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    turn = np.empty(4)
-    cubes, cylinders, triangles = [], [], []
-    for geom in range(model.ngeom):
-        kind, half = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-        mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
-        where = pose(data.geom_xpos[geom], turn.tolist())
-        if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-            x, y, z = model.geom_pos[geom]
-            below = pose((x, y, z - _THICK / 2))
-            cubes.append(CubePrimitive(pose=below, size=size(_FLOOR, _FLOOR, _THICK), color=color(_FLOOR_COLOR)))
-        elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-            cubes.append(CubePrimitive(pose=where, size=size(*(2.0 * half)), color=_color(model, geom)))
-        elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
-            extent = size(2.0 * half[0], 2.0 * half[0], 2.0 * half[1])
-            cylinders.append(
-                CylinderPrimitive(pose=where, size=extent, bottom_scale=1.0, top_scale=1.0, color=_color(model, geom))
-            )
-        elif kind == mujoco.mjtGeom.mjGEOM_HFIELD:
-            triangles.append(_height_field(model, geom))
-    return SceneEntity(frame_id=frame, id="world", cubes=cubes, cylinders=cylinders, triangles=triangles)
+        Args:
+            settings: with the world's name, and the seed of all that is random in it.
+            robot: by whose size it is made.
+
+        Raises:
+            ConfigurationError: there is no such world.
+        """
+        self._model = worlds.load(settings.world, settings.seed, worlds.size_of(robot)).compile()
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_kinematics(self._model, self._data)
+        self._fixed = self._model.body_weldid[self._model.geom_bodyid] == 0
+
+    def ground(self, frame: str) -> SceneEntity:
+        """What stands still, in the frame in which the robot stood above the origin when it started."""
+        return self._entity("world", frame, np.flatnonzero(self._fixed))
+
+    def fixtures(self, frame: str, positions: FloatArray) -> SceneEntity | None:
+        """What turns, at some positions of the world's joints [rad]; None: nothing does, or it is another world's."""
+        if not self._model.nq or positions.size != self._model.nq:
+            return None
+        self._data.qpos[:] = positions
+        mujoco.mj_kinematics(self._model, self._data)
+        return self._entity("fixtures", frame, np.flatnonzero(~self._fixed))
+
+    def _entity(self, name: str, frame: str, geoms: Iterable[int]) -> SceneEntity:
+        model, data, turn = self._model, self._data, np.empty(4)
+        cubes, cylinders, triangles = [], [], []
+        for geom in geoms:
+            kind, half = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
+            mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
+            where = pose(data.geom_xpos[geom], turn.tolist())
+            if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+                x, y, z = model.geom_pos[geom]
+                below = pose((x, y, z - _THICK / 2))
+                cubes.append(CubePrimitive(pose=below, size=size(_FLOOR, _FLOOR, _THICK), color=color(_FLOOR_COLOR)))
+            elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+                cubes.append(CubePrimitive(pose=where, size=size(*(2.0 * half)), color=_color(model, geom)))
+            elif kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+                extent, tint = size(2.0 * half[0], 2.0 * half[0], 2.0 * half[1]), _color(model, geom)
+                cylinders.append(
+                    CylinderPrimitive(pose=where, size=extent, bottom_scale=1.0, top_scale=1.0, color=tint)
+                )
+            elif kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+                triangles.append(_height_field(model, geom))
+        return SceneEntity(frame_id=frame, id=name, cubes=cubes, cylinders=cylinders, triangles=triangles)
 
 
 def _color(model: Any, geom: int) -> Any:

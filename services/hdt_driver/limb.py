@@ -103,9 +103,7 @@ class Limb:
             self.obeyed = self._sent[state.command_sequence]
         self.voltage = state.voltage
         # As nearly always: all is well and was, and nothing has jumped.
-        if not (self.fault.any() or state.fault.any()) and (
-            np.abs(state.position - self.position[part]).max() <= JUMP
-        ):
+        if not (self.fault.any() or state.fault.any()) and (np.abs(state.position - self.position[part]).max() <= JUMP):
             self.position[part], self.velocity[part] = state.position, state.velocity
             self.effort[part], self.temperature[part] = state.effort, state.temperature
             return

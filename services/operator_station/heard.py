@@ -28,6 +28,7 @@ class Heard:
         velocities: name → velocity [rad/s].
         efforts: name → effort [N·m].
         pelvis: in odom.
+        fixtures: (k,) of the simulated world's joints, in its order [rad]; (0,): not known.
         commanded: (n,) joint positions [rad], in the robot's order; (0,): not known.
         points: com, dcm, dcm_reference, cop → (3,) in odom [m].
         wrenches: l_foot, r_foot, … → (6,) force [N] and torque [N·m] of the world on the robot, in the sole or hand.
@@ -53,6 +54,7 @@ class Heard:
     velocities: dict[str, float] = field(default_factory=dict)
     efforts: dict[str, float] = field(default_factory=dict)
     pelvis: Pose = field(default_factory=Pose)
+    fixtures: FloatArray = field(default_factory=lambda: np.zeros(0))
     commanded: FloatArray = field(default_factory=lambda: np.zeros(0))
     points: dict[str, FloatArray] = field(default_factory=dict)
     wrenches: dict[str, FloatArray] = field(default_factory=dict)

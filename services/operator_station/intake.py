@@ -13,12 +13,13 @@ from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, JointState
 from std_msgs.msg import Bool
-from valor_msgs.msg import HandGoalStatus, MotionState, Rejection
+from valor_msgs.msg import GroundTruth, HandGoalStatus, MotionState, Rejection
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
 from valor.common.fetching import PICTURE
 from valor.common.poses import Pose
+from valor.common.topics import GROUND_TRUTH
 from valor.operator_station.heard import Heard
 from valor.operator_station.link import AGES, Link
 from valor.operator_station.modes import Mode, report
@@ -59,12 +60,13 @@ class Intake:
         inputs: whose messages are wanted.
     """
 
-    def __init__(self, wall: Callable[[], float] = time.time, linked: bool = False) -> None:
+    def __init__(self, wall: Callable[[], float] = time.time, linked: bool = False, recorded: bool = False) -> None:
         """Nothing is heard yet.
 
         Args:
             wall: the wall clock at which things are noted [s].
             linked: whether the robot is behind the link, which says how old its state is.
+            recorded: whether it is out of a bag, in which Bifrost's topics are ROS' as well.
         """
         self.heard, self.wall = Heard(), wall
         if linked:
@@ -95,6 +97,8 @@ class Intake:
         if linked:
             add(DiagnosticStatus, "link/status", TOLD, self._link)
             add(CompressedImage, PICTURE, TOLD, self._picture)
+        if recorded:
+            add(GroundTruth, f"bifrost/{GROUND_TRUTH.name}", STREAM, self._truth)
 
     def _add(self, kind: Any, topic: str, qos: QoSProfile, take: Callable[[Any, float], None]) -> None:
         self.inputs.append(Input(kind, topic, qos, take))
@@ -121,6 +125,9 @@ class Intake:
         if before is not None and before != message.behavior:
             heard.tell(self.wall(), f"behavior {before} → {message.behavior}: {message.reason or 'asked for'}")
         heard.ages.heard("motion", now)
+
+    def _truth(self, message: GroundTruth, now: float) -> None:
+        self.heard.fixtures = np.array(message.fixture_position)
 
     def _point(self, name: str) -> Callable[[PointStamped, float], None]:
         def take(message: PointStamped, now: float) -> None:

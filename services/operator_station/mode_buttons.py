@@ -11,23 +11,23 @@ from valor.operator_station.modes import Mode, Modes
 
 
 class ModeButtons:
-    """They are grey until ``show`` has said otherwise."""
+    """They are grey until ``show`` has said otherwise.
+
+    Attributes:
+        buttons: by mode.
+    """
 
     def __init__(self, gui: GuiApi, modes: Modes, pressed: Callable[[str], Any]) -> None:
         """``pressed``: gives what a mode's button does."""
         self._modes = modes
-        self._buttons = {name: gui.add_button(name, disabled=True) for name in modes.names}
-        for name, button in self._buttons.items():
+        self.buttons = {name: gui.add_button(name, disabled=True) for name in modes.names}
+        for name, button in self.buttons.items():
             button.on_click(pressed(name))
 
     def show(self, mode: Mode, behavior: str) -> None:
         """Of a robot in a mode and a behavior: which may be pressed, and why others may not."""
-        for name, button in self._buttons.items():
+        for name, button in self.buttons.items():
             why = self._modes.why_not(name, mode, behavior)
             label = f"{name}  ✓" if name == mode.current else f"{name} – {why}" if why else name
             if (button.label, button.disabled) != (label, bool(why)):
                 button.label, button.disabled = label, bool(why)
-
-    def pressable(self) -> list[str]:
-        """The modes whose buttons are not grey."""
-        return [name for name, button in self._buttons.items() if not button.disabled]

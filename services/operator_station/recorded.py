@@ -132,7 +132,7 @@ class Recorded:
         """
         origin = origin_of(bag)
         description = RobotDescription.load(robot or robot_of(bag, origin))
-        intake = Intake()
+        intake = Intake(recorded=True)
         self._tape = Tape(bag, wanted_of(intake))
         with contextlib.redirect_stdout(io.StringIO()):  # of viser's own words
             self._server = server = ViserServer(host=LOOPBACK, port=port, label=bag.name, verbose=False)

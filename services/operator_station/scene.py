@@ -5,16 +5,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 
-import mujoco
 import numpy as np
-from viser import ViserServer
+from viser import SceneApi, ViserServer
 
 from valor.common.errors import ValorError
-from valor.operator_station import shapes
 from valor.operator_station.body import Body
 from valor.operator_station.figure import Figure
 from valor.operator_station.heard import Heard
 from valor.operator_station.overlays import Footprints, Overlays
+from valor.operator_station.surroundings import Surroundings
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 from valor.simulation import worlds
@@ -43,8 +42,7 @@ class Scene:
         scene.set_up_direction("+z")
         scene.configure_default_lights(enabled=True, cast_shadow=False)
         scene.add_grid("/floor", 40.0, 40.0, cell_size=0.5, section_size=1.0, plane_opacity=0.0, shadow_opacity=0.0)
-        if world is not None:
-            _add_world(server, world, model.robot)
+        self._surroundings = None if world is None else _surroundings(scene, world, model.robot)
         self._robot = Figure(scene, "robot", self.body)
         self._ghosts = {
             "commanded": Figure(scene, "commanded", self.body, color=COMMANDED, opacity=0.35),
@@ -75,6 +73,8 @@ class Scene:
             body.update()
             self._robot.draw(body)
         self._robot.show(bool(heard.joints))
+        if self._surroundings is not None:
+            self._surroundings.turn(heard.fixtures)
         self._frame += 1
         if self._frame % SLOW == 0:
             self._overlays.draw(heard, body, now)
@@ -101,15 +101,10 @@ class Scene:
             self._ghosts["refused" if refused else "wanted"].draw(self.wanted)
 
 
-def _add_world(server: ViserServer, world: World, robot: RobotDescription) -> None:
-    """The simulated world, where the robot began: odom and world agree there, and drift apart as odometry does."""
+def _surroundings(scene: SceneApi, world: World, robot: RobotDescription) -> Surroundings | None:
+    """The simulated world; None: it cannot be made."""
     try:
-        model: mujoco.MjModel = worlds.load(*world, worlds.size_of(robot)).compile()
+        return Surroundings(scene, worlds.load(*world, worlds.size_of(robot)).compile())
     except (ValorError, ValueError) as error:
         _log.warning("the world is not drawn: %s", error)
-        return
-    for place, mesh in enumerate(shapes.of_world(model)):
-        server.scene.add_mesh_simple(
-            f"/world/{place}", mesh.vertices.astype(np.float32), mesh.faces, color=mesh.color, flat_shading=True,
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+        return None

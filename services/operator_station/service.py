@@ -13,6 +13,7 @@ from viser import ClientHandle, ViserServer
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Settings
 from valor.common.linking import behind
+from valor.common.topics import GROUND_TRUTH
 from valor.common.viewing import LOOPBACK, Viewing, page_port, stop_port
 from valor.door.serving import STOP_BUTTON, Guard, inside
 from valor.operator_station.commander import Commander
@@ -87,6 +88,7 @@ class OperatorStation:
         model = full_model(robot, "all")
         world = (settings.world, settings.seed) if settings.variant == "simulation" else None
         self._scene = Scene(server, model, world)
+        self._truth = None if linked or world is None else GROUND_TRUTH.subscriber(context.node)
         self._worker = Worker(desk)
         parts = Parts(server, desk, self._commander, heard, self._scene)
         tabs = server.gui.add_tab_group()
@@ -146,6 +148,8 @@ class OperatorStation:
     def _turn(self, frame: int, now: float) -> None:
         heard, wall = self._heard, time.time()
         self._listener.look(now)
+        if self._truth is not None and (received := self._truth.latest()) is not None:
+            heard.fixtures = received.message.fixture_position
         self._desk.turn()
         self._drive.turn(now)
         self._plots.note(now, wall)

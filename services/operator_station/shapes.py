@@ -37,11 +37,11 @@ def of_body(model: mujoco.MjModel, body: int) -> list[Mesh]:
 
 
 def of_world(model: mujoco.MjModel) -> list[Mesh]:
-    """All shapes of a model that does not move, but for planes, in the world's frame."""
+    """All shapes that do not move, but for planes, in the world's frame."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     parts = []
-    for geom in range(model.ngeom):
+    for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0).tolist():
         if (made := _shape(model, geom)) is not None and model.geom_type[geom] != _GEOM.mjGEOM_PLANE:
             vertices, faces = made
             turn = data.geom_xmat[geom].reshape(3, 3)

@@ -99,6 +99,8 @@ class Recording:
             pelvis_position=source[f"pelvis_position_in_{frame}"][row],
             pelvis_orientation=source[f"pelvis_orientation_in_{frame}"][row],
             joint_position=position,
+            # Recordings may be older than it.
+            fixture_position=np.array(getattr(source.messages[row], "fixture_position", ()), dtype=float),
         )
 
     def setpoints(self) -> dict[str, tuple[FloatArray, FloatArray]]:

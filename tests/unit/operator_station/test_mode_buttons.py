@@ -16,13 +16,17 @@ def buttons() -> Iterator[ModeButtons]:
     server.stop()
 
 
+def pressable(buttons: ModeButtons) -> list[str]:
+    return [name for name, button in buttons.buttons.items() if not button.disabled]
+
+
 @pytest.mark.parametrize("known_before", [False, True])
 def test_what_is_allowed_may_be_pressed(buttons: ModeButtons, known_before: bool) -> None:
-    assert buttons.pressable() == []
+    assert pressable(buttons) == []
     if not known_before:
         buttons.show(Mode(), "")
-        assert buttons.pressable() == []
+        assert pressable(buttons) == []
     buttons.show(Mode("stand"), "stand")
     modes = Modes()
-    assert buttons.pressable() == [name for name in modes.names if not modes.why_not(name, Mode("stand"), "stand")]
-    assert "stand_manipulate" in buttons.pressable() and "stand" not in buttons.pressable()
+    assert pressable(buttons) == [name for name in modes.names if not modes.why_not(name, Mode("stand"), "stand")]
+    assert "stand_manipulate" in pressable(buttons) and "stand" not in pressable(buttons)
