@@ -22,7 +22,7 @@ from valor.common.topics import STATISTICS, hdt_topics
 from valor.devices.table import HdtBifrost
 from valor.hdt_bridge.driver_report import DRIVER, statistics
 from valor.hdt_bridge.twin import Twin
-from valor.ros.node import RosSide, Untouched
+from valor.ros.node import WALL, RosSide, Untouched
 from valor.ros.taking import take, uncalled, waiting
 from valor.service import Context, quiet_collector
 
@@ -47,7 +47,7 @@ class _Limb:
         """To ROS, if there is a new one; whether there was."""
         received = self.commands.latest()
         if received is not None:
-            self._ros_commands.publish(self._command.to_ros(received, time.time_ns()))
+            self._ros_commands.publish(self._command.to_ros(received, WALL.now().nanoseconds))
         return received is not None
 
     def forward_state(self) -> bool:

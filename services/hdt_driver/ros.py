@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterable, Mapping, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -71,7 +70,7 @@ class DriverNode:
     def publish(self, limb: Limb, sequence: int) -> None:
         """A limb's state, as far as it is known."""
         publisher, layout = self._states[limb.name]
-        numbers, now = layout.numbers, time.time_ns()
+        numbers, now = layout.numbers, WALL.now().nanoseconds
         layout.stamp(now)
         for name, number in (("time", now), ("sequence", sequence), ("command_sequence", limb.obeyed)):
             numbers[name][0] = number

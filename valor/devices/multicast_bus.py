@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import select
 import socket
-import time
 
 import can
 import msgspec
@@ -34,7 +33,7 @@ class _Frame(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class MulticastBus(UdpMulticastBus):  # type: ignore[misc]  # untyped
-    """A CAN FD bus that does not leave the computer; stamps are those of this end."""
+    """A CAN FD bus that does not leave the computer; stamps are the senders'."""
 
     def __init__(self, group: str, port: int) -> None:
         """Join.
@@ -93,7 +92,7 @@ class MulticastBus(UdpMulticastBus):  # type: ignore[misc]  # untyped
         try:
             it = self._decode(data)
             return can.Message(
-                timestamp=time.time(),
+                timestamp=it.timestamp,
                 arbitration_id=it.arbitration_id,
                 is_extended_id=it.is_extended_id,
                 is_remote_frame=it.is_remote_frame,
