@@ -22,7 +22,7 @@ from valor.link.session import Session
 
 PROBES = 0.02  # between questions whether the channel is there [s]
 NEWS = 0.5  # between questions what is new, while it is [s]
-OPEN = 0.1  # so long after the last word it counts as there [s]
+OPEN = 0.1  # so long after the last word it counts as there, where answers come quickly [s]
 NOTED = 5.0  # between notes of what has come, while it comes [s]
 BATCH = 16  # chunks that are worth a question of their own
 LARGEST_HELD = {Bulk.PICTURE: 4 * 2**20, Bulk.LISTING: 2**20}  # of what is kept in memory [B]
@@ -211,7 +211,7 @@ class Fetcher:
         self._checked()
         if not self._lane.session.established:
             return
-        if self._open and all_heard and now - self._heard > OPEN:
+        if self._open and all_heard and now - self._heard > max(OPEN, 2.0 * self._pace.patience):
             self._close()
         if now >= self._news_due:
             self._news_due = now + PROBES
