@@ -91,6 +91,7 @@ class Hosts:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.STDOUT,
+                start_new_session=True,  # whoever interrupts a benchmark needs it to take all down
             )
         wait_until(lambda: "listens" in said.read_text(), 30.0, f"the agent of {name} listens: {said.read_text()}")
 
@@ -131,6 +132,9 @@ class Hosts:
     def cut_power(self, name: str) -> None:
         """End a computer's agent and all that runs there at once, as when its power is cut; its files stay."""
         self.kill_agent(name)
+        self._kill_rest(name)
+
+    def _kill_rest(self, name: str) -> None:
         for process in leftovers.processes_of(Instance(self.instance, self.home(name))):
             with contextlib.suppress(psutil.NoSuchProcess):
                 process.kill()
@@ -146,6 +150,8 @@ class Hosts:
         finally:
             for name in list(self._agents):
                 self.stop_agent(name)
+            for name in self.network.addresses:
+                self._kill_rest(name)
 
 
 @contextmanager
