@@ -82,6 +82,23 @@ def test_play_that_never_shows_is_not_claimed() -> None:
     assert found.half_play is None
 
 
+@given(seeds)
+@examples(30)
+def test_of_a_drive_that_only_noise_is_heard_of_nothing_is_claimed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    count, k, d = 1500, 20.0, 0.5
+    ahead, error, rate_error = 0.02 * rng.normal(0.0, [[1.0], [0.1], [0.1]], (3, count))
+    found = servo.identify(
+        error=error,
+        rate_error=rate_error,
+        feed_forward=ahead,
+        stiffness=np.full(count, k),
+        damping=np.full(count, d),
+        effort=ahead + k * error + d * rate_error + rng.normal(0.0, 0.25, count),
+    )
+    assert (found.share, found.strength, found.half_play) == (1.0, 1.0, None)
+
+
 def swaying(seed: int, count: int = 1500) -> tuple[Record, dict[str, FloatArray]]:
     """Of an arm whose links and friction are drawn, and what was drawn."""
     rng = np.random.default_rng(seed)

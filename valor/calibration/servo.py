@@ -21,6 +21,7 @@ WIDEST = 0.15  # half width that is looked for [rad]
 STEPS = 61  # of the look
 LEAST_PLAY = 0.0008  # half width that shows [rad]
 BETTER = 0.95  # what remains with play, share of what remains without, that shows it
+TELLS = 0.95  # what remains, share of all torque, from which the law tells nothing, and nominal numbers hold
 LOADED = 0.5  # torque by which a gear is turned to one side of its play [N·m]
 SEEN = 20  # moments at least in which it was
 
@@ -75,8 +76,10 @@ def identify(
     half = half if shows else 0.0
     (taken, strength), left = fit(half)
     turned = int((np.abs(strength * stiffness * (error - np.clip(error, -half, half))) > LOADED).sum())
-    share = min(taken / strength, 1.0) if strength > 0.0 else 1.0
     residual = left / np.sqrt(error.size)
+    if left > TELLS * float(np.linalg.norm(effort)):  # torques no larger than what sensors are off by
+        return Servo(1.0, 1.0, None, float(residual))
+    share = min(taken / strength, 1.0) if strength > 0.0 else 1.0
     return Servo(float(share), float(strength), half if shows and turned >= SEEN else None, float(residual))
 
 
