@@ -21,7 +21,7 @@ from valor.link.session import SEALED
 
 LONGEST = 2048  # of a datagram [B]
 MOST = 64  # datagrams of a channel in one turn
-LONG = 0.004  # that datagrams of the fast channel may take in one turn [s]
+LONG = 0.004  # of a processor that datagrams of the fast channel may take in one turn [s]
 BUFFER = 4 * 2**20  # of the fast channel's sockets; the system may grant less [B]
 _BULK = bytes((BULK,))
 Address = tuple[str, int]
@@ -95,8 +95,8 @@ class Carrier:
         for _ in range(MOST):
             if not self._take(Channel.SLOW, now):
                 break
-        until = time.perf_counter() + LONG
-        while (more := self._take(Channel.FAST, now)) and time.perf_counter() < until:
+        until = time.thread_time() + LONG
+        while (more := self._take(Channel.FAST, now)) and time.thread_time() < until:
             pass
         for channel, data in self._end.turn(now):
             caller = None if self._fixed or data[0] == SEALED else self._callers.get(channel)

@@ -12,7 +12,7 @@ from valor.link.bulk.wire import CHUNK, Ask, Gone, News, Want, Word, chunk, hear
 from valor.link.errors import BulkError, SealError
 from valor.link.session import Session
 
-TURN = 0.004  # that chunks may take of one turn of the loop, so that states stay on time [s]
+TURN = 0.004  # of a processor that chunks may take in one turn of the loop, so that states stay on time [s]
 WAITING = 4096  # chunks that may wait to be sent
 FORGOTTEN = 0.5  # after so long without a word what was asked for is not wanted any more [s]
 KEPT = 4  # things that may be asked for at once: the newest ones
@@ -112,8 +112,8 @@ class Giver:
             self._words.clear()
         while self._words:
             yield self._lane.seal(said(self._words.pop(0)))
-        until = time.perf_counter() + TURN
-        while self._queue and time.perf_counter() < until:
+        until = time.thread_time() + TURN
+        while self._queue and time.thread_time() < until:
             tag, place = next(iter(self._queue))
             thing = self._things.get(tag)
             try:
