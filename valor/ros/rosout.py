@@ -6,7 +6,9 @@ up: lines wait in a queue, and the thread that spins the node publishes them.
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -16,8 +18,12 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from valor.common.errors import ConfigurationError
+
 TOPIC = "/rosout"
 LEAVING = Duration(seconds=0.5)  # in which the last lines are to reach those who listen
+MEETING = (0.5, 2.0)  # after it began, whoever listens has been met; and if nobody has been by then, nobody does [s]
+_LOOK_EVERY = 0.02  # [s]
 _QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Who joins late is told the newest lines, as by rcl's own."""
 
@@ -72,6 +78,9 @@ class RosOut(logging.Handler):
         self._waiting: deque[Log] = deque(maxlen=self.WAITING)
         self._publisher = node.create_publisher(Log, TOPIC, _QOS)
         self._guard = node.create_guard_condition(self._publish)
+        self._began = time.monotonic()
+        self._grave = False  # an error is among what was published
+        self._finished = False
         logging.getLogger().addHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -99,10 +108,29 @@ class RosOut(logging.Handler):
 
     def _publish(self) -> None:
         while self._waiting:
-            self._publisher.publish(self._waiting.popleft())
+            line = self._waiting.popleft()
+            self._grave = self._grave or line.level >= logging.ERROR
+            self._publisher.publish(line)
+
+    def flush(self) -> None:
+        """The last lines of a process that ends without ``finish``, as the interpreter's end has it."""
+        if not self._finished:
+            with contextlib.suppress(Exception):  # ROS may be gone already
+                self.finish()
 
     def finish(self) -> None:
-        """The last lines; nobody spins the node any more."""
+        """The last lines, and the error for which one leaves; nobody spins the node any more."""
+        self._finished = True
         logging.getLogger().removeHandler(self)
+        if isinstance(error := sys.exc_info()[1], ConfigurationError):
+            self._wait(logging.ERROR, str(error))
         self._publish()
+        while self._grave and self._unmet():
+            time.sleep(_LOOK_EVERY)
         self._publisher.wait_for_all_acked(LEAVING)
+
+    def _unmet(self) -> bool:
+        """Whether somebody may listen whom the publisher has not met yet: it has just begun."""
+        soon, late = MEETING
+        age = time.monotonic() - self._began
+        return age < (soon if self._publisher.get_subscription_count() else late)
