@@ -53,7 +53,8 @@ TOPIC = "robot_controllers/footstep_controller/execute_step_plan"
 class Seen:
     """By the operator; times are monotonic [s], stamps robot time [ms]."""
 
-    joints: dict[int, tuple[float, float, FloatArray]] = field(default_factory=dict)  # when, how late, positions
+    came: list[tuple[float, float]] = field(default_factory=list)  # of each state when, and how late in robot time [s]
+    joints: dict[int, FloatArray] = field(default_factory=dict)  # (n,) positions
     base: dict[int, FloatArray] = field(default_factory=dict)
     links: list[tuple[float, dict[str, str]]] = field(default_factory=list)
     feedback: int = 0
@@ -84,7 +85,8 @@ def watch(robot: RosClient, operator: RosClient, seen: Seen) -> None:
     def joints(message: JointState) -> None:
         newest = robot.joint_state
         late = (stamp(newest) - stamp(message)) / 1e3 if newest is not None else np.nan
-        seen.joints[stamp(message)] = (time.monotonic(), late, np.array(message.position))
+        seen.came.append((time.monotonic(), late))
+        seen.joints[stamp(message)] = np.array(message.position)
 
     def base(message: Odometry) -> None:
         p = message.pose.pose.position
@@ -128,7 +130,7 @@ def errors(seen: Seen, bag: Bag) -> list[list[object]]:
     joints, odometry = bag["/joint_states"], bag["/odom"]
     true = {stamp(message): np.array(message.position) for message in joints.messages}
     places = {stamp(message): message.pose.pose.position for message in odometry.messages}
-    off = [np.abs(shown - true[at]).max() for at, (_, _, shown) in seen.joints.items() if at in true]
+    off = [np.abs(shown - true[at]).max() for at, shown in seen.joints.items() if at in true]
     far = [
         np.abs(shown - np.array((places[at].x, places[at].y, places[at].z))).max()
         for at, shown in seen.base.items()
@@ -157,7 +159,7 @@ def draw(seen: Seen, began: float, windows: list[tuple[float, float]], file: Pat
 
 def report(seen: Seen, began: float, ended: float, emulator: Emulator, bag: Bag) -> None:
     """Print the tables."""
-    shown = sorted(each for each in seen.joints.values() if began <= each[0] <= ended)
+    shown = [each for each in seen.came if began <= each[0] <= ended]
     times = np.array([each[0] for each in shown])
     late = np.array([each[1] for each in shown])
     a_second = np.histogram(times, bins=np.arange(began, ended, 1.0))[0]

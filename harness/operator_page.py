@@ -21,6 +21,7 @@ ARGUMENTS = (
     "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run",
 )  # fmt: skip
+PASSING = re.compile("came too late|nobody serves|not acknowledged")  # refusals after which it is pressed again
 SIZE = {"width": 1180, "height": 720}
 FRAMES = 8  # that a page may draw [1/s]: without a graphics card each costs a core tens of milliseconds
 SLOWLY = f"""
@@ -96,7 +97,7 @@ class Page:
             if any(begins in line and ends in line for line in lines):
                 return
             assert time.monotonic() < deadline, f"{begins} … {ends}: not within {PATIENCE:g} s; {lines}"
-            if lines and re.search("came too late|nobody serves", lines[0]) and self.button(label).is_enabled():
+            if lines and PASSING.search(lines[0]) and self.button(label).is_enabled():
                 given = self.number()
                 self.press(label)
             self.page.wait_for_timeout(500)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,10 +18,14 @@ from harness.places import ROBOTS
 from harness.system import RosClient
 from harness.waiting import wait_until
 from valor.common import membership
+from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ModeStatus
+from valor.common.stopping import HALT
 from valor.common.table import checked
 from valor.link.classes import BY_KIND, Kind
+from valor.robot.description import RobotDescription
+from valor.valorctl import beyond_link
 from valor.valorctl.ros_domain import daemon_ports, reserve, reserve_for
 
 MODES = "mode_controllers/control_mode_controller/change_control_mode"
@@ -258,6 +264,67 @@ def test_what_became_of_each_command_is_told(sides: tuple[Robot, RosClient, RosC
 
     wait_until(comes, PATIENCE, "it to be obeyed")
     wait_until(lambda: _commands(told)[:1] and _commands(told)[0].startswith("goal_cancel: done"), PATIENCE, "that")
+
+
+def test_verbs_on_the_operators_side_see_and_stop_the_robot(
+    running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient], tmp_path: Path
+) -> None:
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Empty
+    from valor_msgs.msg import MotionState
+    from vigir_humanoid_control_msgs.msg import ControlModeStatus
+
+    desk = Instance("desk", tmp_path)
+    desk.folder.mkdir(parents=True)
+    desk.settings_file.write_text(Settings(robot=ROBOTS / "escher", ros_domain_id=running[1]).json())
+    joints = RobotDescription.load(ROBOTS / "escher").joints
+    _, beside, _ = sides
+    stops: list[Any] = []
+    beside._call(beside.node.create_subscription, Empty, "flor/controller/soft_stop", stops.append, 10)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publishers = [
+        beside._call(beside.node.create_publisher, kind, topic, qos)
+        for kind, topic, qos in ((JointState, "joint_states", 10), (MotionState, "flor/controller/motion_state", 10),
+                                 (ControlModeStatus, "flor/controller/mode", latched))
+    ]  # fmt: skip
+
+    def tell() -> None:
+        """As a robot that stands until it is stopped."""
+        state = "soft_stop" if stops else "stand"
+        messages = (JointState(name=list(joints), position=[0.25] * len(joints)), MotionState(behavior=state),
+                    ControlModeStatus(current_control_mode=state))  # fmt: skip
+        for publisher, message in zip(publishers, messages, strict=True):
+            publisher.publish(message)
+
+    timer = beside._call(beside.node.create_timer, 0.1, tell)
+
+    def asked(what: Callable[[], Any]) -> Any:
+        """What a verb gives; nothing: it gave up, and is to be asked again."""
+        with contextlib.suppress(ValorError):
+            return what()
+
+    def positions() -> dict[str, float]:
+        with beyond_link.joints(desk) as heard:
+            return heard()
+
+    told = wait_until(lambda: asked(positions), PATIENCE, "the joints")
+    assert set(told) == set(joints) and max(abs(each - 0.25) for each in told.values()) <= 0.001 + 1e-9
+
+    def stands() -> bool:
+        report, age = asked(lambda: beyond_link.mode(desk)) or (None, 0.0)
+        return bool(report and report.current_control_mode == report.behavior == "stand" and 0.0 < age < PATIENCE)
+
+    wait_until(stands, PATIENCE, "the mode, and how old it is")
+
+    def stopped() -> bool:
+        state, _, seen, (path,) = asked(lambda: beyond_link.stop(desk, HALT, lambda: None)) or ("", 0.0, "", ("",))
+        assert state in ("", "soft_stop"), (seen, path)
+        return bool(state)
+
+    wait_until(stopped, PATIENCE, "the robot's word that it has stopped")
+    assert stops
+    beside.destroy(beside.node.destroy_timer, timer)
 
 
 def test_goals_of_an_end_that_died_are_not_left_open(

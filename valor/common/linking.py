@@ -31,6 +31,14 @@ def behind(settings: Settings) -> bool:
     return settings.link.domain is not None and (here is None or here.operator)
 
 
+def robots_hosts(settings: Settings) -> tuple[str, ...]:
+    """The hosts of the robot's network, where this computer is one of the operator's: Bifrost does not reach them."""
+    here = next((host for host in settings.hosts if host.name == settings.here), None)
+    return (
+        tuple(host.name for host in settings.hosts if not host.operator) if here is not None and here.operator else ()
+    )
+
+
 def parsed(text: str | None, when_lost: WhenLost) -> Link:
     """``DOMAIN[:PORT]`` as settings have it: the fast channel has the port after PORT.
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
-import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import Proprioceptor
+from valor.common.linking import robots_hosts
 from valor.common.topics import PROPRIOCEPTOR
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
@@ -118,14 +118,13 @@ def move_limb(
     settings = instance.settings()
     robot = RobotDescription.load(settings.robot)
     wanted = preset(robot, side, limb, name)
-    with join(instance) as node:
-        measured = PROPRIOCEPTOR.subscriber(node)
-        start = _positions(robot, measured)
+    with _measuring(instance, robot) as positions:
+        start = positions()
         # The controller wants all joints of the limb; those that the preset leaves out stay.
         goal = {joint: wanted.get(joint, start[joint]) for joint in robot.tables.group(f"{side}_{limb}")}
         duration = trajectory_duration(robot, start, goal, speed)
         follow(instance, f"{side}_{limb}", goal, duration, check)
-        worst, error = _final_error(robot, measured, goal, tolerance, check)
+        worst, error = _final_error(positions, goal, tolerance, check)
     return LimbMotion(duration, worst, error, tolerance)
 
 
@@ -191,13 +190,22 @@ def follow_by(
         raise ValorError(f"{group}_traj_controller: error {result.error_code}: {result.error_string}")
 
 
-def _positions(robot: RobotDescription, measured: bifrost.Subscriber[Proprioceptor]) -> dict[str, float]:
-    return dict(zip(robot.joints, hear(PROPRIOCEPTOR, measured, 2.0).joint_position.tolist(), strict=True))
+@contextmanager
+def _measuring(instance: Instance, robot: RobotDescription) -> Iterator[Callable[[], dict[str, float]]]:
+    """What waits for the next joint positions; on the operator's side of a link for those that come through it."""
+    if robots_hosts(instance.settings()):
+        from valor.valorctl import beyond_link
+
+        with beyond_link.joints(instance) as positions:
+            yield positions
+        return
+    with join(instance) as node:
+        measured = PROPRIOCEPTOR.subscriber(node)
+        yield lambda: dict(zip(robot.joints, hear(PROPRIOCEPTOR, measured, 2.0).joint_position.tolist(), strict=True))
 
 
 def _final_error(
-    robot: RobotDescription,
-    measured: bifrost.Subscriber[Proprioceptor],
+    positions: Callable[[], dict[str, float]],
     goal: Mapping[str, float],
     tolerance: float,
     check: Callable[[], None],
@@ -206,7 +214,7 @@ def _final_error(
     deadline = time.monotonic() + _SETTLE_TIMEOUT
     while True:
         check()
-        now = _positions(robot, measured)
+        now = positions()
         errors = {name: now[name] - wanted for name, wanted in goal.items()}
         worst = max(errors, key=lambda name: abs(errors[name]))
         if abs(errors[worst]) <= tolerance or time.monotonic() > deadline:

@@ -11,6 +11,7 @@ from valor.common import mode_names
 from valor.common.behaviors import Obstacle
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.common.linking import robots_hosts
 from valor.common.messages import BehaviorReply, BehaviorRequest, ControlModeReport, ModeStatus
 from valor.common.topics import BEHAVIOR, CONTROL_MODE
 from valor.valorctl.node import hear, join
@@ -58,13 +59,22 @@ class ModeChange:
 
 
 def report(instance: Instance) -> ControlModeReport:
-    """The VRC's newest report.
+    """The VRC's newest report; errors as of ``aged_report``."""
+    return aged_report(instance)[0]
+
+
+def aged_report(instance: Instance) -> tuple[ControlModeReport, float]:
+    """The VRC's newest report, and how old it is at most, where it comes through the link [s]; else 0.
 
     Raises:
         ValorError: it is silent.
     """
+    if robots_hosts(instance.settings()):
+        from valor.valorctl.beyond_link import mode
+
+        return mode(instance)
     with join(instance) as node:
-        return hear(CONTROL_MODE, CONTROL_MODE.subscriber(node), _REPORT_TIMEOUT)
+        return hear(CONTROL_MODE, CONTROL_MODE.subscriber(node), _REPORT_TIMEOUT), 0.0
 
 
 def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> ModeChange:

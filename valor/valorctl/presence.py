@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
+from valor.common.linking import robots_hosts
 from valor.common.processes import BY_NAME
 from valor.valorctl.health import Listener
 from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervising, Supervisor
@@ -52,14 +53,22 @@ def listening(instance: Instance, settings: Settings, names: Iterable[str]) -> L
     return FarListener(instance, settings, names)
 
 
-def require_running() -> Instance:
+def require_running(*, through_link: bool = False) -> Instance:
     """The environment's instance, of which something runs: what is needed answers for itself, supervised or not.
 
+    Args:
+        through_link: what is needed reaches the robot from an operator's host, too.
+
     Raises:
-        ValorError: it is not up, or has crashed as a whole.
+        ValorError: it is not up, or has crashed as a whole, or the robot is not reached from here.
     """
     instance = Instance.from_environment()
-    instance.settings()
+    robots = robots_hosts(instance.settings())
+    if robots and not through_link:
+        raise ValorError(
+            f"here is the operator's side of the link, which does not carry what this verb needs: run it on "
+            f"{' or '.join(robots)}; from here: `mode`, `arm`, `hand`, `step`, `stop`, the operator's page, ROS 2"
+        )
     if not Supervisor(instance).answers() and not processes_found(instance):
         raise ValorError(unsupervised(instance, 0))
     return instance

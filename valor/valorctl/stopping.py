@@ -19,6 +19,7 @@ import msgspec
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.common.linking import robots_hosts
 from valor.common.stopping import HALT, LOCK, LONGEST, LONGEST_WITHOUT_ANSWER, Goal, MotionSystem, Path
 from valor.valorctl.console import say, say_json
 from valor.valorctl.interruption import Interruption
@@ -74,7 +75,12 @@ def run(instance: Instance, goal: Goal, json: bool) -> None:
         ValorError: it is not confirmed to have stopped, or the instance is not up.
     """
     with Interruption() as interruption:
-        stopped = stop(instance, goal, interruption.check)
+        if robots_hosts(instance.settings()):
+            from valor.valorctl import beyond_link
+
+            stopped = Stop(*beyond_link.stop(instance, goal, interruption.check))
+        else:
+            stopped = stop(instance, goal, interruption.check)
     if json:
         say_json(stopped.as_json())
     elif stopped.state:

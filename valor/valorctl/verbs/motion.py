@@ -61,9 +61,9 @@ def mode(
     from valor.common import mode_names
     from valor.valorctl import control_mode, presence
 
-    instance = presence.require_running()
+    instance = presence.require_running(through_link=True)
     if name is None:
-        report = control_mode.report(instance)
+        report, age = control_mode.aged_report(instance)
         flags = control_mode.flag_names(report.status)
         if json:
             say_json(
@@ -72,12 +72,14 @@ def mode(
                     "requested": report.requested_control_mode,
                     "flags": flags,
                     "behavior": report.behavior or None,
+                    "age_s": age,
                 }
             )
         else:
             say(
                 f"control mode {report.current_control_mode}, asked for {report.requested_control_mode or 'nothing'} "
                 f"({', '.join(flags) or 'no flags'}); behavior {report.behavior or 'not known'}"
+                + (f"; {age:.1f} s old at most" if age else "")
             )
         return
     require_one_of("control mode", name, mode_names.names())
@@ -131,7 +133,7 @@ def hand(
 def _move(side: Side, limb: Literal["arm", "hand"], name: str, *, speed: float, tolerance: float, json: bool) -> None:
     from valor.valorctl import arm_motion, presence
 
-    instance = presence.require_running()
+    instance = presence.require_running(through_link=True)
     with Interruption() as interruption:
         motion = arm_motion.move_limb(
             instance, side, limb, name, speed=speed, tolerance=tolerance, check=interruption.check

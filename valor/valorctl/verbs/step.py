@@ -43,7 +43,7 @@ def step(
     if (plan is None) == (to is None):
         raise ValorError("expected a plan, or --to X Y YAW")
     file = step_plan.load(plan_file(plan)) if plan is not None else None
-    instance = presence.require_running()
+    instance = presence.require_running(through_link=True)
     with filming.filmed(instance, video, quiet=json), Interruption() as interruption:
         if file is not None:
             outcome = stepping.step_plan(instance, file.steps, file.frame, interruption.check)
