@@ -89,7 +89,7 @@ BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsu
 # What a robot's users do and bring, and takes longer: demos, experiments, calibration, robots of their own, browsers, another DDS,
 # readers of bags, launch files, other computers, and no checkout.
 CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk experiments \
-  installed late_goals legs_alone link link_ends link_fast operator_commands operator_page operator_beyond operator_recorded operator_viewers hosts hosts_link \
+  installed late_goals legs_alone link link_ends link_fast operator_commands operator_page operator_beyond operator_recorded operator_viewers hosts hosts_link hosts_link_robot \
   hosts_robot other_computers two_robots) $(patsubst %,vrc/test_%.py,moveit nodes other_dds))
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 # Each run in a folder of its own remembers what failed, for test-again.
