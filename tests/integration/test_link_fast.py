@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import random
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,11 +14,13 @@ import pytest
 
 from harness.link_ends import BAG, ENDS, Ends, link_ends
 from harness.waiting import wait_until
+from valor.bags.files import BEGINNING
 from valor.common.linking import robot_ports
 from valor.link.classes import ALWAYS_ON, HEADERS
 from valor.link.emulate import Emulator
 from valor.link.emulator import DRC_SLOW, Conditions
 
+SECOND = "2026-01-02_00-00-00"
 SIZE = 20_000_000
 # Windows are narrow, so that the bag takes several on any computer.
 FAST = Conditions(
@@ -121,3 +126,29 @@ def test_the_newest_picture_comes_with_its_age(operation: Operation) -> None:
     heard = len(ends.told)
     wait_until(lambda: len(ends.told) > heard + 10, 60.0, "it to be told again")
     assert age() > first  # no other has come since
+
+
+def test_valorctl_lists_bags_and_fetches_one(operation: Operation) -> None:
+    ends = operation.ends
+    made, name = ends.running.instance, f"{SECOND}.mcap"
+    content = BEGINNING + random.Random(2).randbytes(100_000)
+    (made.bags / SECOND).mkdir()
+    (made.bags / SECOND / name).write_bytes(content)
+    wait_until(lambda: ends.said(name) == "on the robot", 120.0, "the new bag to be told of")
+
+    def valorctl(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "valor.valorctl", "link", *arguments]
+        environment = ends.running.environment
+        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240.0, check=False)
+
+    listed = valorctl("bags", "--json")
+    assert listed.returncode == 0, listed.stderr
+    rows = {row["name"]: row for row in json.loads(listed.stdout)}
+    assert rows[name]["size"] == len(content) and rows[name]["said"] == "on the robot"
+    fetched = valorctl("fetch", name)
+    assert fetched.returncode == 0, fetched.stderr
+    assert (made.fetched / name).read_bytes() == content and str(made.fetched / name) in fetched.stdout
+    unknown = valorctl("fetch", "2019-01-01_00-00-00.mcap")
+    assert unknown.returncode and "no finished bag" in unknown.stderr
+    elsewhere = valorctl("fetch", "../../instance.json")
+    assert elsewhere.returncode and "expected letters" in elsewhere.stderr
