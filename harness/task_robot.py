@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.manipulating_robot import ManipulatingRobot
 from valor.common.behaviors import Behavior
-from valor.common.messages import FootstepPlanRequest
+from valor.common.messages import FootstepPlanRequest, HandGoalStatus
 from valor.common.poses import Pose, middle
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.rehearsal.plan_walk import footsteps
@@ -19,6 +19,7 @@ from valor.robot.footsteps import FEET
 from valor.robot.step_planner import plan_to
 from valor.simulation import worlds
 from valor.tasks.known import TASKS
+from valor.tasks.plan import REACHED, RESISTED, HandMove
 
 SETTLED = 1.5  # from the last step, or a behavior, to what comes next [s]
 STEPPING = 3.0  # that no step takes longer [s]
@@ -53,9 +54,9 @@ class Outcome:
 class TaskRobot(ManipulatingRobot):
     """A robot before a door or a valve."""
 
-    def __init__(self, robot: RobotDescription, profile: str, seed: int, task: str) -> None:
+    def __init__(self, robot: RobotDescription, profile: str, seed: int, task: str, *, shut: bool = False) -> None:
         self._task, self.plan = task, TASKS[task].plan(robot, seed)
-        super().__init__(robot, profile, seed, world=task)
+        super().__init__(robot, profile, seed, world=TASKS[task].shut if shut else task)
 
     def turned(self, joint: str) -> float:
         """Of the world's, by the simulator [rad]."""
@@ -101,18 +102,28 @@ class TaskRobot(ManipulatingRobot):
         preset = self.robot.tables.hand_presets[self.plan.fingers]["right"]
         joints = np.array([self.robot.index[name] for name in preset])
         self.follow(joints, np.array(list(preset.values())))
-        goals = self.manager.parts.hand_goals
+        free = self.plan.moves[0]
         for move in self.plan.moves:
             each(move.name)
-            position, turn = np.array(move.hand.position), np.array(move.hand.rotation)
-            self.send(RIGHT, position, turn)
-            self.step()
-            self.run_until(lambda: goals.status(RIGHT, 0).state != "moving", move.patience)
-            status = goals.status(RIGHT, 0)
+            status = self._lead(move)
             outcome.states.append((move.name, status.state))
+            free = move if status.state == REACHED else free
+            if status.state == RESISTED:
+                for retreat in self.plan.retreat(free):
+                    each(retreat.name)
+                    outcome.states.append((retreat.name, self._lead(retreat).state))
+                return f"{move.name}: {self.plan.resisted}: {status.reason}"
             if self.behavior is not Behavior.STAND_MANIPULATE:
                 return f"{self.behavior}: {self.manager.fsm.reason}"
         return ""
+
+    def _lead(self, move: HandMove) -> HandGoalStatus:
+        """The hand to a goal, reached or not."""
+        goals = self.manager.parts.hand_goals
+        self.send(RIGHT, np.array(move.hand.position), np.array(move.hand.rotation))
+        self.step()
+        self.run_until(lambda: goals.status(RIGHT, 0).state != "moving", move.patience)
+        return goals.status(RIGHT, 0)
 
 
 def _pose(position: np.ndarray, rotation: np.ndarray) -> Pose:

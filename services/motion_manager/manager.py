@@ -156,6 +156,10 @@ class MotionManager:
         parts.hand_loads.update(proprioceptor, state, parts.hand_contacts, now)
         if parts.hand_goals.active and self.fsm.manipulation is not Manipulation.TELEOP:
             parts.hand_goals.release_all(f"the behavior is {self.fsm.behavior}")
+        for side, force in enumerate(parts.hand_loads.resisted):
+            if force:
+                reason = f"it presses with {force:.0f} N; expected at most {parts.robot.tables.hands.most_pressing:g} N"
+                parts.hand_goals.give_way(side, reason, state.joint_position, now)
         parts.hand_goals.advance(state, state.joint_position, now, dt)
         parts.reference.advance(now, dt)
         parts.balance.recover(parts.hand_contacts)

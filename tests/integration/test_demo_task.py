@@ -1,18 +1,25 @@
-"""``demo door`` as a person runs it: the robot walks up to a door and opens it; one that cannot is refused."""
+"""``demo door`` as a person runs it: up to a door, and open. Who cannot is refused; what is shut is left alone."""
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 import yaml
 
+from harness.closed_loop import load_robot
 from harness.places import ROBOTS
 from harness.system import System, leftovers, shared_memory
+from harness.task_robot import TaskRobot
 from valor.analysis.bag import Bag
+from valor.common.behaviors import Behavior
+from valor.tasks import door, valve
 from valor.tasks.known import TASKS
 from valor.valorctl import task_demonstration
+
+TURNED = {door.NAME: 0.02, valve.NAME: 0.05}  # at most, of what does not give [rad]
 
 
 @pytest.fixture
@@ -44,3 +51,18 @@ def test_a_robot_without_the_fingers_for_it_is_refused_before_anything_starts(sy
         assert f"{task}: robot 'escher' has no preset" in told
         assert len(told.strip().splitlines()) == 1
     assert not (home / "out").exists()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_fixture_that_is_shut_is_left_alone_with_the_reason_and_the_robot_stands_on(task: str) -> None:
+    robot = TaskRobot(load_robot(), "hardware", 0, task, shut=True)
+    outcome = robot.do()
+    assert not outcome.done
+    assert not outcome.fell
+    assert re.fullmatch(rf".*: {robot.plan.resisted}: it presses with \d+ N; expected at most 60 N", outcome.reason)
+    assert outcome.states[-3][1] == "resisted"
+    assert [name for name, _ in outcome.states[-2:]] == ["back", "off"]
+    assert robot.behavior is Behavior.STAND_MANIPULATE
+    if task == door.NAME:  # a spoke may keep the thumb
+        assert not robot.manager.parts.hand_contacts.touching
+    assert abs(outcome.turned) < TURNED[task]

@@ -90,9 +90,11 @@ class Hands(Table):
     right: Hand | None = None
     contact_on: Force[Positive] = 15.0  # force from which a hand counts as touching something [N]
     contact_off: Force[Positive] = 8.0  # until here
+    most_pressing: Force[Positive] = 60.0  # with which a hand goal may press on something; beyond, it is let go [N]
 
     def __post_init__(self) -> None:
         require_order(self, "contact_off", "contact_on")
+        require_order(self, "contact_on", "most_pressing")
 
     def present(self) -> Iterator[tuple[Side, Hand]]:
         """Side and table of each, left first."""

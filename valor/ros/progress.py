@@ -19,7 +19,7 @@ FeedbackMessage = ExecuteStepPlan.Impl.FeedbackMessage
 _PLAN = struct.Struct(">II")  # plan, time [ms]; behind them the feedback's own numbers
 _MOST_OF = (2**7, *(2**31,) * 7, 2**32, 2**32)  # of those numbers; they are less
 _HAND = struct.Struct(">IBHH")  # time [ms], state, errors [mm, mrad]
-_STATES = ("idle", "moving", "reached", "out_of_reach")
+_STATES = ("idle", "moving", "reached", "out_of_reach", "resisted")
 _MOST = 2**16 - 1
 STAMP = slice(4, 8)
 """Where a packed feedback has its time."""

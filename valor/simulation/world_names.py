@@ -3,4 +3,4 @@
 ``worlds.WORLDS`` says what they are.
 """
 
-WORLD_NAMES = ("flat", "dirt", "stairs", "stairs_15cm", "rubble", "door", "valve")
+WORLD_NAMES = ("flat", "dirt", "stairs", "stairs_15cm", "rubble", "door", "door_shut", "valve", "valve_stuck")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from valor.common.poses import Pose, level
-from valor.common.rotation import about_z
+from valor.common.rotation import about_z, rotate
 from valor.robot.description import RobotDescription
 from valor.tasks.hand_shape import HandShape
 from valor.tasks.plan import HandMove, Plan, require_reach
@@ -38,7 +38,8 @@ def plan(robot: RobotDescription, seen: SeenDoor) -> Plan:
     aside = ON_LEVER * seen.lever - hand.shoulder[1] - ASIDE
     stance = seen.frame @ level(-AWAY, aside, 0.0, 0.0)
     x, y, _ = stance.position
-    made = Plan((x, y, stance.yaw), FINGERS, list(_moves(seen, hand)))
+    out = rotate(seen.frame.orientation, (-BEFORE, 0.0, 0.0))
+    made = Plan((x, y, stance.yaw), FINGERS, list(_moves(seen, hand)), out, "the leaf does not give")
     require_reach(NAME, made, hand)
     return made
 

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 
 from valor.common.errors import ValorError
 from valor.common.poses import Pose, level
+from valor.common.rotation import Vector
 from valor.robot.step_planner import Middle
 from valor.tasks.hand_shape import HandShape
 
+REACHED, RESISTED = "reached", "resisted"  # states of a hand, as HandGoalStatus has them
+PATIENCE = 8.0  # of a retreat [robot time, s]
 STRETCH = 0.97  # most of an arm's length that a goal may be from its shoulder
 
 
@@ -37,11 +40,21 @@ class Plan:
         stance: where the middle of the feet shall be in odom, x, y [m], yaw [rad].
         fingers: the hand's preset.
         moves: of the right hand, in their order.
+        out: from where the hand works to where it is off everything, in odom [m].
+        resisted: what it means that the hand presses in vain.
     """
 
     stance: Middle
     fingers: str
     moves: Sequence[HandMove]
+    out: Vector
+    resisted: str
+
+    def retreat(self, move: HandMove) -> tuple[HandMove, HandMove]:
+        """Back to where a move ended that was reached, and straight out from there."""
+        x, y, z = (place + out for place, out in zip(move.hand.position, self.out, strict=True))
+        away = Pose((x, y, z), move.hand.orientation)
+        return HandMove("back", move.hand, PATIENCE), HandMove("off", away, PATIENCE)
 
 
 def require_reach(task: str, plan: Plan, hand: HandShape) -> None:

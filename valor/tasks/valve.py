@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from valor.common.poses import Pose, level
+from valor.common.rotation import rotate
 from valor.robot.description import RobotDescription
 from valor.tasks.hand_shape import HandShape
 from valor.tasks.plan import HandMove, Plan, require_reach
@@ -35,7 +36,8 @@ def plan(robot: RobotDescription, seen: SeenValve) -> Plan:
     hand = HandShape.of(robot, NAME, FINGERS)
     stance = seen.frame @ level(-AWAY, -hand.shoulder[1] - ASIDE, 0.0, 0.0)
     x, y, _ = stance.position
-    made = Plan((x, y, stance.yaw), FINGERS, list(_moves(seen, hand)))
+    out = rotate(seen.frame.orientation, (-BEFORE - THROUGH, 0.0, 0.0))
+    made = Plan((x, y, stance.yaw), FINGERS, list(_moves(seen, hand)), out, "the wheel does not turn")
     require_reach(NAME, made, hand)
     return made
 

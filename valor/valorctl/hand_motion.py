@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.ros.limbs import HANDS
-from valor.tasks.plan import HandMove
+from valor.tasks.plan import REACHED, RESISTED, HandMove, Plan
 
 HAND = HANDS[1]
 GOAL, CANCEL, STATUS = (f"flor/{HAND}/goal_{what}" for what in ("pose", "cancel", "status"))
@@ -41,7 +41,7 @@ class Moved:
 
 def lead(
     instance: Instance,
-    moves: Sequence[HandMove],
+    plan: Plan,
     check: Callable[[], None],
     tell: Callable[[str], None] = lambda name: None,
 ) -> list[Moved]:
@@ -49,12 +49,12 @@ def lead(
 
     Args:
         instance: must be up, in a manipulate mode.
-        moves: goals; one that is not reached is left when its patience is over.
+        plan: its goals; one that is not reached is left when its patience is over.
         check: called while waiting; may raise to give up. The arm then stays.
         tell: is told what is done next.
 
     Raises:
-        ValorError: a goal is not taken, or the hand is let go meanwhile; says why.
+        ValorError: a goal is not taken, or the hand let go; says why. A hand that pressed in vain is led back.
     """
     from std_msgs.msg import Empty
 
@@ -65,9 +65,18 @@ def lead(
         cancel = ros.publisher(Empty, CANCEL, 1)
         made = list[Moved]()
         try:
-            for move in moves:
+            free = plan.moves[0]
+            for move in plan.moves:
                 tell(move.name)
                 made.append(hand.go(move))
+                free = move if made[-1].state == REACHED else free
+                if made[-1].state == RESISTED:
+                    reason, kept = hand.reason, False
+                    for retreat in plan.retreat(free):
+                        tell(retreat.name)
+                        kept = hand.go(retreat).state == RESISTED
+                    where = "did not come free" if kept else "is back"
+                    raise ValorError(f"{move.name}: {plan.resisted}: the hand was let go: {reason}; it {where}")
         finally:
             cancel.publish(Empty())
         return made
@@ -119,6 +128,11 @@ class _Hand:
             return self._state == "moving"
 
         self._ros.wait(taken, _TAKEN, complaint)
+
+    @property
+    def reason(self) -> str:
+        """Of its state."""
+        return str(self._newest.reason)
 
     @property
     def _state(self) -> str:

@@ -34,6 +34,7 @@ class Wanted:
     seed: int
     real_time_factor: float
     video: Path | None  # where its film goes; None: none is made
+    shut: bool = False  # whether what it is done to does not give
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,9 @@ def run(instance: Instance, wanted: Wanted, out: Path, progress: Progress, inter
     robot = RobotDescription.load(instance_setup.plan(Request(robot=wanted.robot)).settings.robot)
     plan = TASKS[wanted.task].plan(robot, wanted.seed)
     bag, report = demonstration.prepare(instance, out, f"{wanted.task}.mcap", f"{wanted.task}.json")
+    world = TASKS[wanted.task].shut if wanted.shut else wanted.task
     request = Request(
-        robot=wanted.robot, actuators=wanted.actuators, world=wanted.task, seed=wanted.seed,
+        robot=wanted.robot, actuators=wanted.actuators, world=world, seed=wanted.seed,
         real_time_factor=wanted.real_time_factor, bag=bag,
     )  # fmt: skip
     failures = demonstration.Failures()
@@ -92,7 +94,7 @@ def _do(instance: Instance, wanted: Wanted, plan: Plan, progress: Progress, inte
     control_mode.enter(instance, ControlMode.STAND_MANIPULATE, check)
     speed, tolerance = _FINGERS
     arm_motion.move_limb(instance, "right", "hand", plan.fingers, speed=speed, tolerance=tolerance, check=check)
-    moves = hand_motion.lead(instance, plan.moves, check, progress.waiting)
+    moves = hand_motion.lead(instance, plan, check, progress.waiting)
     with join(instance) as node:
         truth = hear(GROUND_TRUTH, GROUND_TRUTH.subscriber(node), _TRUTH)
     return Done(wanted.task, wanted.seed, math.degrees(float(truth.fixture_position[0])), moves)

@@ -32,6 +32,7 @@ GRACE = 0.05  # from a goal to its first motion, in which others learn that the 
 STALLED_TIME = 0.5  # for which an arm must not get on, to say that the goal is out of reach [s]
 SETTLING = 2.5  # likewise of an arm whose set-points are there, while its joints come [s]
 LEAVING = 2.0  # times REACHED: what is reached stays so within it
+AWAY = 0.3  # that a goal has to lead a hand away from what it presses on [s]
 LOOK = 0.02  # between looks at where the hands are [s]
 
 
@@ -82,7 +83,7 @@ class HandGoals:
         self._looked = -np.inf
         self._say(arm, "moving")
 
-    def release(self, side: int, reason: str) -> None:
+    def release(self, side: int, reason: str, state: str = "idle") -> None:
         """The arm stays where it is, and takes set-points again."""
         arm = self._arms[side]
         if arm.goal is None:
@@ -91,7 +92,14 @@ class HandGoals:
             self._reference.follow(Setpoint(arm.joints, arm.position, arm.still, arm.still, 0.0))
         arm.goal, arm.position, arm.reason = None, None, reason
         arm.rest()
-        self._say(arm, "idle")
+        self._say(arm, state)
+
+    def give_way(self, side: int, reason: str, measured: FloatArray, now: float) -> None:
+        """Let a hand go that does not get through: its arm stays where it is, not where it was led; (n,) [rad]."""
+        if self.leads(side) and now > self._arms[side].begins + AWAY:
+            arm = self._arms[side]
+            arm.position = np.clip(measured[arm.joints], arm.lower, arm.upper)
+            self.release(side, reason, "resisted")
 
     def release_all(self, reason: str) -> None:
         """Likewise all."""

@@ -43,7 +43,7 @@ def test_a_plans_progress_comes_back_with_its_steps() -> None:
     assert len(content) < 45
 
 
-@pytest.mark.parametrize("state", ["idle", "moving", "reached", "out_of_reach"])
+@pytest.mark.parametrize("state", ["idle", "moving", "reached", "out_of_reach", "resisted"])
 def test_a_hands_status_comes_back(state: str) -> None:
     sent = HandGoalStatus(time=3_000_000, hand=1, state=state, reason="why", position_error=0.25)
     assert unpack_hand(pack_hand(sent), 1) == sent

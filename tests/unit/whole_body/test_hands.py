@@ -10,6 +10,7 @@ from harness.manipulating_robot import ManipulatingRobot
 from valor.simulation.gears import Gears
 
 NEAR = np.array((0.4, -0.3, 0.2))  # a place of the right hand in pelvis [m]
+MOST = 60.0  # that a hand presses with, as robot.yaml's default [N]
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +64,29 @@ def test_what_is_said_to_be_wanted_is_the_set_point_and_not_what_makes_up_for_th
         worn.follow(arm, said[arm])
         worn.run(0.5)
     np.testing.assert_allclose(worn.plant.joint_position[arm], before, atol=0.01)
+
+
+def test_a_knock_leaves_a_goal_as_it_is_and_a_steady_force_lets_the_hand_go() -> None:
+    robot = ManipulatingRobot(load_robot(), "ideal", seed=0)
+    goals = robot.manager.parts.hand_goals
+    robot.send(1, *robot.in_odom(NEAR, np.eye(3)))
+    assert robot.run_until(lambda: goals.status(1, 0).state == "reached", 8.0)
+    press(robot, 1.5 * MOST, 0.06)
+    robot.run(0.3)
+    assert goals.leads(1)
+    press(robot, 1.5 * MOST, 0.25)
+    status = goals.status(1, 0)
+    assert status.state == "resisted"
+    assert status.reason.startswith("it presses with ")
+    assert not goals.leads(1)
+
+
+def press(robot: ManipulatingRobot, force: float, seconds: float) -> None:
+    """Aside against the right hand [N], for so long [s]."""
+    hand = robot.robot.tables.hands.right
+    assert hand is not None
+    body, applied = robot.plant.model.body(hand.body), robot.plant.data.xfrc_applied
+    for _ in range(round(seconds / robot.robot.control_period)):
+        applied[body, 1] = force
+        robot.step()
+    applied[body, 1] = 0.0

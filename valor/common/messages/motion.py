@@ -77,7 +77,7 @@ class HandGoalStatus(Message):
 
     time: int
     hand: int  # 0 left, 1 right
-    state: str  # idle, moving, reached, out_of_reach
+    state: str  # idle, moving, reached, out_of_reach, resisted: let go, for what it pressed on did not give
     reason: str
     position_error: float  # of the hand as it is estimated [m]
     orientation_error: float  # [rad]

@@ -23,6 +23,8 @@ from valor.simulation.worlds.stairs import Stairs
 from valor.simulation.worlds.valve import Valve
 from valor.simulation.worlds.world import Spread, World, add_materials
 
+DOOR, VALVE = Spread((0.95, 1.45), (-0.35, 0.15), 0.2), Spread((1.0, 1.5), (-0.3, 0.3), 0.2)
+UNYIELDING = 1e5  # damping of what does not give [N·m·s/rad]
 # fmt: off
 WORLDS: dict[str, World] = {  # named in world_names, too
     "flat":        Flat(),
@@ -30,8 +32,10 @@ WORLDS: dict[str, World] = {  # named in world_names, too
     "stairs":      Stairs(rise=0.10, tread=0.3, steps=3),
     "stairs_15cm": Stairs(rise=0.15, tread=0.3, steps=3),
     "rubble":      Rubble(highest=0.04, start=0.6, length=3.0),
-    "door":        Door(start=Spread((0.95, 1.45), (-0.35, 0.15), 0.2)),
-    "valve":       Valve(start=Spread((1.0, 1.5), (-0.3, 0.3), 0.2)),
+    "door":        Door(start=DOOR),
+    "door_shut":   Door(start=DOOR, closer=UNYIELDING),
+    "valve":       Valve(start=VALVE),
+    "valve_stuck": Valve(start=VALVE, damping=UNYIELDING),
 }
 # fmt: on
 

@@ -88,11 +88,12 @@ def door(
     seed: Seed = 0,
     rtf: RealTimeFactor = 1.0,
     video: Video = None,
+    shut: Annotated[bool, typer.Option("--shut", help="It does not give, and is to be left alone.")] = False,
 ) -> None:
     """Walk up to a door, press its lever and push it open; leaves a bag and a report."""
     from valor.valorctl.task_demonstration import Wanted
 
-    _task(Wanted("door", robot, actuators, seed, rtf, video), out)
+    _task(Wanted("door", robot, actuators, seed, rtf, video, shut), out)
 
 
 @demo.command()
@@ -104,11 +105,12 @@ def valve(
     seed: Seed = 0,
     rtf: RealTimeFactor = 1.0,
     video: Video = None,
+    stuck: Annotated[bool, typer.Option("--stuck", help="It does not turn, and is to be left alone.")] = False,
 ) -> None:
     """Walk up to a valve and turn its wheel once; leaves a bag and a report."""
     from valor.valorctl.task_demonstration import Wanted
 
-    _task(Wanted("valve", robot, actuators, seed, rtf, video), out)
+    _task(Wanted("valve", robot, actuators, seed, rtf, video, stuck), out)
 
 
 def _task(wanted: Wanted, out: Path) -> None:
