@@ -14,7 +14,6 @@ import threading
 import time
 from pathlib import Path
 
-import psutil
 from sensor_msgs.msg import JointState
 
 from benchmarks.link import show
@@ -97,10 +96,6 @@ def run(size: int, seed: int | None) -> list[object]:
             for name in ENDS:
                 ends.start(name)
             lasted, bursts, rate = measure(ends)
-            seconds = [
-                sum(psutil.Process(ends.running.process(name).pid).cpu_times()[:2])
-                for name in ("link_robot", "link_operator")
-            ]
         finally:
             joints.stop()
             if between is not None:
@@ -113,7 +108,6 @@ def run(size: int, seed: int | None) -> list[object]:
         whole = sorted(bursts[:-1] or bursts)  # the last window is not filled
         each = whole[len(whole) // 2]
         what = f"windows of 1 s, {DRC_FAST.bandwidth / 1e6:.0f} Mbit/s"
-    cost = " ".join(f"{1e6 * each / (size / 1350):.0f}" for each in seconds)
     load = f"{os.getloadavg()[0]:.1f}"
     return [
         what,
@@ -122,7 +116,6 @@ def run(size: int, seed: int | None) -> list[object]:
         f"{each / 1e6:.1f}",
         f"{100.0 * each / WINDOW:.0f}",
         f"{rate:.1f}",
-        cost,
         load,
     ]
 
@@ -134,7 +127,7 @@ def main() -> None:
     asked = parser.parse_args()
     size = int(1e6 * asked.size)
     head = ["between the ends", "it took [s]", "bursts", "a window [MB]", "of 300 Mbit/s [%]", "states a second",
-            "CPU a chunk, each end [us]", "load"]  # fmt: skip
+            "load"]  # fmt: skip
     show("A bag over the fast channel", head, [run(size, None), run(size, asked.seed)])
 
 
