@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,6 +20,7 @@ from harness.system import VALORCTL
 from harness.waiting import wait_until
 from valor.common import pacing
 from valor.common.resources import robot_folder
+from valor.valorctl.ros_domain import discovery_port
 
 DEPLOYMENT = """\
 description: ROS' side without a robot, on three computers
@@ -114,6 +118,19 @@ def test_an_agent_that_is_begun_anew_finds_what_it_had_started(up: Hosts) -> Non
     assert up.states("operator") == {"bifrostd": "ready", "footstep_converter": "ready"}
 
 
+@contextmanager
+def in_ros_domain(up: Hosts, name: str) -> Iterator[None]:
+    """Somebody's program in the instance's ROS domain on a computer."""
+    domain = json.loads((up.home("motion") / "trio" / "instance.json").read_text())["ros_domain_id"]
+    program = f"import socket; s = socket.socket(type=socket.SOCK_DGRAM); s.bind(('', {discovery_port(domain)}))"
+    command = up.command(name, sys.executable, "-c", f"{program}; print('there', flush=True); input()")
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "there\n"
+        yield
+        process.kill()
+
+
 def test_a_host_that_was_started_anew_takes_up_what_goes_on_and_nothing_that_is_over(up: Hosts) -> None:
     def ready() -> bool:
         return up.states("operator") == {"bifrostd": "ready", "footstep_converter": "ready"}
@@ -121,8 +138,9 @@ def test_a_host_that_was_started_anew_takes_up_what_goes_on_and_nothing_that_is_
     assert ready()
     up.cut_power("perception")
     assert up.states("operator")["footstep_converter"] == "failed"
-    up.start_agent("perception")
-    wait_until(ready, 60.0, "its part is started again", 0.5)
+    with in_ros_domain(up, "perception"):
+        up.start_agent("perception")
+        wait_until(ready, 60.0, "its part is started again", 0.5)
     up.cut_power("perception")
     assert "perception" in up.valorctl("operator", "down", expect=1)
     up.start_agent("perception")

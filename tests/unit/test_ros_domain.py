@@ -64,6 +64,18 @@ def test_a_domain_in_use_is_seen() -> None:
         assert is_free(domain)
 
 
+def test_an_instance_takes_its_domain_again_beside_its_clients_and_beside_no_other_instance() -> None:
+    with ros_domain.reserve("test") as reservation:
+        domain = reservation.domain
+        with pytest.raises(ValorError, match=f"ROS domain {domain} is another instance's"):
+            ros_domain.retake(domain)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("127.0.0.1", discovery_port(domain)))
+        with ros_domain.retake(domain) as again:
+            assert again.domain == domain
+            assert is_reserved(domain)
+
+
 def test_no_port_belongs_to_two_domains_or_may_be_given_to_an_outgoing_connection() -> None:
     ports = [port for domain in (0, *DOMAINS) for port in daemon_ports(domain)]
     assert len(set(ports)) == len(ports)

@@ -95,6 +95,17 @@ def reserve_for(instance: Instance, wanted: int | None = None) -> Reservation:
     return reserve(str(instance.folder), others | {wanted})
 
 
+def retake(domain: int) -> Reservation:
+    """Take the domain that an instance had when its processes ended, whoever of ROS is in it: its clients may go on.
+
+    Raises:
+        ValorError: another instance has it.
+    """
+    if (holder := _hold(domain)) is None:
+        raise ValorError(f"ROS domain {domain} is another instance's")
+    return Reservation(domain, holder)
+
+
 def refuse_namesake(instance: Instance, domain: int, namespace: str) -> None:
     """See that no other instance of the home has the domain and the namespace, too.
 

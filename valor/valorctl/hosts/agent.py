@@ -65,6 +65,7 @@ class Agent:
         self._instance = instance
         self._closing = threading.Event()
         self._words: dict[str, dict[str, Any]] = {}
+        self._hindrance = ""  # to what was to be started again, as it was logged
 
     def run(self, stopping: Callable[[], bool], told: Callable[[str], None]) -> None:
         """Answer until told to stop.
@@ -254,7 +255,7 @@ class Agent:
         return found
 
     def _resumed(self, instance: Instance, switchboard: Switchboard, others: list[str]) -> bool:
-        """Take up what goes on elsewhere; False: nobody has said yet whether it does."""
+        """Take up what goes on elsewhere; False: nobody has said yet whether it does, or it does not start yet."""
         asked = {name: {"instance": instance.name} for name in others}
         answers = switchboard.ask("run_of", asked, check=self._check)
         if not instance.settings_file.exists() or leftovers.processes_of(instance):
@@ -264,7 +265,10 @@ class Agent:
                 resuming.resume(instance)
                 _log.info("instance %s goes on elsewhere: its part here is started again", instance.name)
             except ValorError as error:
-                _log.error("instance %s goes on elsewhere, but its part here does not start: %s", instance.name, error)
+                if str(error) != self._hindrance:
+                    _log.error("instance %s goes on elsewhere, its part here does not start: %s", instance.name, error)
+                self._hindrance = str(error)
+                return False
             return True
         return not any(isinstance(answer, HostError) for answer in answers.values())
 

@@ -85,9 +85,7 @@ def resume(instance: Instance) -> None:
             file.unlink(missing_ok=True)
         settings = msgspec.structs.replace(instance.settings(), epoch=time.monotonic_ns())
         whole_file.write(instance.settings_file, settings.json())
-        with ros_domain.reserve_for(instance, settings.ros_domain_id) as reservation:
-            if reservation.domain != settings.ros_domain_id:
-                raise ValorError(f"ROS domain {settings.ros_domain_id} is in use on {settings.here}")
+        with ros_domain.retake(settings.ros_domain_id) as reservation:
             supervisor = launch(instance, settings, reservation.fileno())
         for name in supervisor.processes():
             if name != DAEMON:  # which they find as soon as it is there
