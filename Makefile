@@ -82,23 +82,24 @@ endef
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests: those of a robot one after the other; beside
-# them the rest, and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even where
-# PYTHONDONTWRITEBYTECODE is set.
-BESIDE := $(addprefix tests/integration/,bag_recorder footstep_converter $(patsubst %,test_%.py,getting_up wheels))
-# What a robot's users do and bring, and takes longer: demos, experiments, calibration, robots of their own, browsers, another DDS,
-# readers of bags, launch files, other computers, and no checkout.
-CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk experiments \
-  installed late_goals legs_alone link link_ends link_fast operator_commands operator_page operator_beyond operator_recorded operator_viewers hosts hosts_link hosts_link_robot \
-  hosts_robot other_computers two_robots) $(patsubst %,vrc/test_%.py,moveit nodes other_dds))
+# Everything that must hold: style, types, boundaries, then the tests: those of services and of a robot one after the other;
+# beside them what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even
+# where PYTHONDONTWRITEBYTECODE is set.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
+# What a robot's users do and bring, and what takes longer: demos, experiments, films, changes by the book, robots of their own,
+# many pushes, stairs, browsers, another DDS, readers of bags, launch files, other computers, and no checkout.
+CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk \
+  escher_steps experiments getting_up installed late_goals legs_alone link link_ends link_fast operator_commands operator_page \
+  operator_beyond operator_recorded operator_viewers hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
+  two_robots wheels) valorctl/test_whole_system.py $(patsubst %,vrc/test_%.py,bypass moveit nodes other_dds)) \
+  $(patsubst %,tests/unit/%.py,test_experiment_end_effector test_extending test_film whole_body/test_recovery)
+ELSEWHERE := $(addprefix --ignore ,$(CLIENTS))
 # Each run in a folder of its own remembers what failed, for test-again.
 REMEMBERED := $(VENV)/pytest
-QUICK := $(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance
+QUICK := $(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance $(ELSEWHERE)
 test: $(STAMP) lint
-	@{ status=0; $(QUICK) || status=1; \
-	$(PYTEST) -o cache_dir=$(REMEMBERED)/beside $(BESIDE) || status=1; exit $$status; } >build/tests.log 2>&1 & rest=$$!; status=0; \
-	$(PYTEST) -o cache_dir=$(REMEMBERED)/robot tests/integration $(addprefix --ignore ,$(BESIDE) $(CLIENTS)) || status=1; \
+	@$(QUICK) >build/tests.log 2>&1 & rest=$$!; status=0; \
+	$(PYTEST) -o cache_dir=$(REMEMBERED)/robot tests/integration $(ELSEWHERE) || status=1; \
 	wait $$rest || status=1; \
 	cat build/tests.log; exit $$status
 
