@@ -27,6 +27,7 @@ from valor.valorctl.ros_client import RosClient
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TIMEOUT = 20.0  # for the first word of the operator's end [s]
+AGAIN = 1.0  # between two soft stops, until the robot has stopped [s]
 LONGEST = (BY_KIND[Kind.STOP].deadline or 0.0) + 5.0  # until a stop has been obeyed and that is seen, or never [s]
 
 
@@ -103,15 +104,19 @@ def stop(instance: Instance, goal: Goal, check: Callable[[], None]) -> tuple[str
     path = Path("link_robot, through the link")
     with RosClient(instance, check) as ros:
         told = _Told(ros)
+        publisher = None if goal is LOCK else ros.publisher(Empty, "flor/controller/soft_stop", 1)
+        path.answer = "soft stop sent"
         if goal is LOCK:
             asked = ChangeControlMode.Goal(mode_request=goal.modes[0])
             result = ros.call_action(ChangeControlMode, ACTION, asked, LONGEST + goal.longest).result
             path.answer = f"control mode {result.current_control_mode}"
-        else:
-            ros.publisher(Empty, "flor/controller/soft_stop", 1).publish(Empty())
-            path.answer = "soft stop sent"
+        due = began
 
         def stopped() -> bool:
+            nonlocal due
+            if publisher is not None and time.monotonic() >= due:  # again: the other end may not have found it before
+                publisher.publish(Empty())
+                due = time.monotonic() + AGAIN
             new = told.age("behavior_age") < time.monotonic() - began
             return new and told.text("behavior") in goal.reached
 

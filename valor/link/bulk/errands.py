@@ -69,16 +69,6 @@ class Errands:
         self.all[name] = Errand()
         self._save()
 
-    def drop(self, name: str) -> None:
-        """It is not wanted any more; what has come of it stays until it is wanted again.
-
-        Raises:
-            BulkError: it was not.
-        """
-        if not self.wants(name):
-            raise BulkError(f"{name}: is not being fetched")
-        self.end(name, "given up")
-
     def wants(self, name: str) -> bool:
         """Whether it is to be fetched."""
         each = self.all.get(name)
