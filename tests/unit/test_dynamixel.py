@@ -283,6 +283,31 @@ def test_the_late_answer_to_an_earlier_request_is_no_number(bus: Bus, port: Dyna
         late.join()
 
 
+def test_of_two_answers_to_a_request_made_again_the_second_is_none_to_the_next() -> None:
+    """As of a servo, or an emulator, that was held up until it was asked again."""
+    device, driver_end = os.openpty()
+    tty.setraw(driver_end)
+    port = DynamixelPort(os.ttyname(driver_end), 3000000)
+
+    def answer() -> None:
+        os.read(device, 256)
+        os.read(device, 256)  # the same request, made again
+        os.write(device, encode(1, 0x55, bytes((0, 1, 1, 0, 0))))
+        time.sleep(0.005)  # on the line between the two
+        os.write(device, encode(1, 0x55, bytes((0, 1, 1, 0, 0))))
+        os.read(device, 256)
+        os.write(device, encode(1, 0x55, bytes((0, 2, 2, 0, 0))))
+
+    servo = threading.Thread(target=answer)
+    servo.start()
+    assert port.read(1, X_SERIES.goal_position) == 257
+    assert port.read(1, X_SERIES.present_position) == 514
+    servo.join()
+    port.close()
+    os.close(device)
+    os.close(driver_end)
+
+
 def test_a_line_that_takes_nothing_has_servos_that_do_not_answer() -> None:
     """As on a busy computer; once it takes something again, it is asked again."""
     device, driver_end = os.openpty()

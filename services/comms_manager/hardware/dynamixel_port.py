@@ -207,12 +207,15 @@ class DynamixelPort:
 
     def _again(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
         """Make a request until there is an answer, or enough of it: answer, result, error."""
+        answer = self._asked(request)
         for _ in range(TRIES - 1):
+            if answer[1] == COMM_SUCCESS:
+                break
+            self._let_pass()
             answer = self._asked(request)
             if answer[1] == COMM_SUCCESS:
-                return answer
-            self._let_pass()
-        return self._asked(request)
+                self._let_pass()  # it may have been to the request before
+        return answer
 
     def _asked(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
         """Make a request; one that the line does not take in time, as on a busy computer, has no answer."""

@@ -254,10 +254,12 @@ def test_a_stream_of_trajectories_is_followed_and_logged_once(
             sent.append((t, HOME[JOINT] + place))
             seen.append((t, ros.joint_positions()[JOINT]))
         wait_until(lambda t=time: now() > t, PATIENCE, "the robot's clock", period=0.001)  # type: ignore[misc]
-    wanted, measured = np.array(sent)[:, 1], np.array(seen)[:, 1]
+    (times, wanted), measured = np.array(sent).T, np.array(seen)[:, 1]
     assert len(sent) > 100
-    # Nobody waits for the sender, nor for the VRC: for moments a busy computer has neither go on.
-    assert np.percentile(np.abs(measured - wanted), 75) < 0.2 * amplitude, "the arm does not follow"
+    # Nobody waits for the sender, nor for the VRC: on a busy computer both are late, and for moments neither goes on.
+    late = (np.interp(times - delay, times, wanted) for delay in np.linspace(0.0, 0.5, 26))
+    off = min(np.percentile(np.abs(measured - each), 75) for each in late)
+    assert off < 0.2 * amplitude, "the arm does not follow"
     assert np.ptp(measured) > 0.8 * amplitude
     assert len(desk.refused.messages) == refusals, desk.refused.messages[-1].reason
     assert system.log(VRC).count("\n") - lines <= 3
