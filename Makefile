@@ -90,7 +90,7 @@ PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytes
 # many pushes, stairs, browsers, another DDS, readers of bags, launch files, other computers, and no checkout.
 CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk \
   escher_steps experiments getting_up installed late_goals legs_alone link link_ends link_fast operator_commands operator_page \
-  operator_beyond operator_link operator_recorded operator_viewers hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
+  operator_beyond operator_recorded operator_viewers hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
   two_robots wheels) valorctl/test_whole_system.py $(patsubst %,vrc/test_%.py,bypass moveit nodes other_dds)) \
   $(patsubst %,tests/unit/%.py,test_experiment_end_effector test_extending test_film whole_body/test_recovery)
 ELSEWHERE := $(addprefix --ignore ,$(CLIENTS))
