@@ -44,8 +44,7 @@ from rich.console import Console
 from benchmarks.cable_cases import CASES, Case
 from benchmarks.tables import Columns, table
 from harness.computers import ComputersError
-from harness.hosts import Hosts, hosts
-from valor.valorctl.hosts.deployment import Deployment, deployment_file
+from harness.hosts import Hosts, deployment_text, hosts
 
 INSTANCE = "cables"
 NAMES = ("motion", "perception", "operator")
@@ -272,10 +271,7 @@ def _within(seconds: float) -> Iterator[None]:
 @contextmanager
 def _bench() -> Iterator[Bench]:
     """A robot on three hosts."""
-    file = deployment_file("drc")
-    text = file.read_text()
-    for name, host in Deployment.load(file).hosts.items():
-        text = text.replace(host.address, f"@{name}")
+    text = deployment_text("drc")
     with (
         tempfile.TemporaryDirectory(prefix="vh-", ignore_cleanup_errors=True) as folder,
         hosts(Path(folder), text, INSTANCE, *NAMES, perception=3.0, operator=-2.0) as made,

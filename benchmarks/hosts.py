@@ -24,8 +24,7 @@ from rich.console import Console
 from benchmarks import pathways
 from benchmarks.tables import Columns, table
 from harness.computers import ComputersError
-from harness.hosts import Hosts, hosts
-from valor.valorctl.hosts.deployment import Deployment, deployment_file
+from harness.hosts import Hosts, deployment_text, hosts
 
 OPERATOR = "operator"
 
@@ -71,10 +70,7 @@ def main() -> None:
     parser.add_argument("--changes", type=int, default=40, help="of the control mode")
     parser.add_argument("--commands", type=int, default=40, help="of a joint")
     options = parser.parse_args()
-    file = deployment_file("drc")
-    text = file.read_text()
-    for name, host in Deployment.load(file).hosts.items():
-        text = text.replace(host.address, f"@{name}")
+    text = deployment_text("drc")
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="vh-", ignore_cleanup_errors=True) as folder:
         try:

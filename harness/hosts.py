@@ -18,6 +18,7 @@ from harness.system import VALORCTL
 from harness.waiting import wait_until
 from valor.common.instance import Instance
 from valor.valorctl import leftovers
+from valor.valorctl.hosts.deployment import Deployment, deployment_file
 
 PATIENCE = 240.0  # [s]
 
@@ -152,6 +153,15 @@ class Hosts:
                 self.stop_agent(name)
             for name in self.network.addresses:
                 self._kill_rest(name)
+
+
+def deployment_text(name: str) -> str:
+    """One of the project's deployments, as ``hosts`` takes it: of each host ``@name`` in the place of its address."""
+    file = deployment_file(name)
+    text = file.read_text()
+    for host, row in Deployment.load(file).hosts.items():
+        text = text.replace(row.address, f"@{host}")
+    return text
 
 
 @contextmanager

@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 
 from harness.computers import ComputersError
-from harness.hosts import Hosts, hosts
+from harness.hosts import Hosts, deployment_text, hosts
 from harness.waiting import wait_until
 from valor.common.instance import Instance
 from valor.valorctl import leftovers
-from valor.valorctl.hosts.deployment import Deployment, deployment_file
 
 pytestmark = pytest.mark.timeout(1200)
 HEALED = 120.0  # [s]
@@ -24,10 +23,7 @@ HEALED = 120.0  # [s]
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[Hosts]:
-    file = deployment_file("drc-link")
-    text = file.read_text()
-    for name, row in Deployment.load(file).hosts.items():
-        text = text.replace(row.address, f"@{name}")
+    text = deployment_text("drc-link")
     with tempfile.TemporaryDirectory(prefix="vk-", ignore_cleanup_errors=True) as folder:
         try:
             with hosts(Path(folder), text, "trio", "motion", "perception", "operator") as made:

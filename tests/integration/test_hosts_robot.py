@@ -15,10 +15,9 @@ from typing import Any
 import pytest
 
 from harness.computers import ComputersError
-from harness.hosts import Hosts, hosts
+from harness.hosts import Hosts, deployment_text, hosts
 from harness.system import VALORCTL
 from harness.waiting import wait_until
-from valor.valorctl.hosts.deployment import Deployment, deployment_file
 
 HEALED = 60.0  # [s]
 STILL = 0.04  # what balancing takes at most [m]
@@ -27,10 +26,7 @@ LONG = 8.0  # cut, for which `walk` gives up, and TCP its connections [s]
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[Hosts]:
-    file = deployment_file("drc")
-    text = file.read_text()
-    for name, row in Deployment.load(file).hosts.items():
-        text = text.replace(row.address, f"@{name}")
+    text = deployment_text("drc")
     with tempfile.TemporaryDirectory(prefix="vh-", ignore_cleanup_errors=True) as folder:
         try:
             names = ("motion", "perception", "operator")
