@@ -17,7 +17,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-clients test-quick test-again test-pythons soak reliability fuzz lint docs tables bench gallery robots mutants lock dist clean known-python
+.PHONY: setup demo test test-clients test-quick test-again test-pythons soak reliability fuzz lint docs tables bench gallery robots mutants lock dist clean experiments known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -169,6 +169,13 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.hosts
 	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/walking.py --quick
+
+# docs/experiments: chapter 5 of the thesis on emulated devices, in some 45 minutes on a computer that does nothing else.
+# Bags, CSV and the report, also of a run in which something failed, are in build/experiments.
+experiments: $(STAMP)
+	$(BIN)/valorctl experiment all --profile hardware --clock realtime --beside --out build/experiments
+	rm -f docs/experiments/*
+	cp build/experiments/report/README.md build/experiments/report/*.webp docs/experiments/
 
 # docs/robots.md: robots from the files of their makers, played; with LIVE=1 also as systems of processes. The packages are
 # taken without what they depend on: their models alone are wanted.

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import psutil
 import pytest
+from PIL import Image
 
 from harness import analysis_bag
 from harness.places import REPOSITORY, ROBOTS
@@ -116,8 +117,9 @@ def test_paper_holds_the_same(tmp_path: Path) -> None:
     assert content.count(b"/Subtype /Image") >= 1
     assert content.count(b"/Title") >= 3  # of the document and of both experiments
     (tmp_path / "one" / "a.png").write_bytes((tmp_path / "two" / "a.png").read_bytes()[:20])
-    with pytest.raises(ResultError, match=r"one/a\.png: not a picture"):
-        report_pdf.write(collect(tmp_path, "one"), tmp_path / "report.pdf")
+    for write, place in ((report_pdf.write, "report.pdf"), (report_markdown.write, "page")):
+        with pytest.raises(ResultError, match=r"one/a\.png: not a picture"):
+            write(collect(tmp_path, "one"), tmp_path / place)
 
 
 def test_a_repository_gets_a_page_with_its_figures_beside_it(tmp_path: Path) -> None:
@@ -126,8 +128,11 @@ def test_a_repository_gets_a_page_with_its_figures_beside_it(tmp_path: Path) -> 
     result("one", [Picture("a.png", "A *picture*.", "Figure 5.1")]).save(tmp_path / "one")
     page = report_markdown.write(collect(tmp_path, "one", "absent"), tmp_path / "out")
     text = page.read_text()
-    assert "![A \\*picture\\*.](a.png)" in text
-    assert (tmp_path / "out" / "a.png").read_bytes() == (tmp_path / "one" / "a.png").read_bytes()
+    assert "![A \\*picture\\*.](a.webp)" in text
+    with Image.open(tmp_path / "one" / "a.png") as drawn, Image.open(tmp_path / "out" / "a.webp") as copied:
+        assert copied.format == "WEBP"
+        assert copied.tobytes() == drawn.convert("RGB").tobytes()
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["README.md", "a.webp"]
     assert "| a | 12.3 | ms | 40 | slower |" in text
     assert "| name | value |\n| --- | --: |\n| x | 1 |" in text
     assert "\n    valorctl experiment all\n" in text

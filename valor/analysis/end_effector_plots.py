@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from valor.analysis import marks, style
-from valor.analysis.bands import bands, keys
+from valor.analysis.bands import bands, keys, make_room
 from valor.analysis.end_effector import HandTrack, PoseError
 from valor.analysis.recording import Posture, Recording
 from valor.analysis.scene import Scene
@@ -69,6 +69,7 @@ def base(kept: HandTrack, ours: HandTrack, file: Path) -> Path:
         below.set_ylim(0.0, 1.1 * max(farthest))
         for axes in (above, below):
             axes.set_xlim(at[0], at[-1])
+            make_room(axes)
             bands(axes, at, track.behavior, label=False)
     handles = [style.sample(axis, style.SERIES[i], 1.8) for i, axis in enumerate(_AXES)]
     style.key(figure, [*handles, *keys(np.concatenate([kept.behavior, ours.behavior]))])
@@ -186,7 +187,7 @@ def _show_small(axes: Axes, values: FloatArray) -> None:
     ticks = [0.0, *(sign * 10.0**power for power in range(int(np.log10(largest)) + 1) for sign in (-1.0, 1.0))]
     axes.set_yticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
     axes.minorticks_off()
-    axes.set_ylim(-2.0 * largest, 2.0 * largest)
+    axes.set_ylim(-5.0 * largest, 2.0 * largest)  # below: the bands
 
 
 def _name(axes: Axes, at: FloatArray, track: HandTrack, columns: int = 3, top: float = 1.24) -> None:

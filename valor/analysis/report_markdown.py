@@ -1,10 +1,11 @@
-"""The report as a folder for a repository: ``README.md`` with every number, and the figures beside it."""
+"""The report as a folder for a repository: ``README.md`` with every number, and the figures beside it, as WebP."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
+
+from PIL import Image
 
 from valor.analysis import report
 from valor.analysis.chapters import Chapter, command_for_all
@@ -17,7 +18,7 @@ FILE = "README.md"
 
 
 def write(chapters: Sequence[Chapter], folder: Path) -> Path:
-    """Write the page and copy the figures; returns the page's path.
+    """Write the page and the figures; returns the page's path.
 
     Raises:
         ResultError: a file cannot be written.
@@ -33,7 +34,7 @@ def write(chapters: Sequence[Chapter], folder: Path) -> Path:
         for chapter in chapters:
             for picture in chapter.result.pictures if chapter.result else ():
                 if not chapter.fault(picture):
-                    shutil.copyfile(chapter.folder / picture.file, folder / Path(picture.file).name)
+                    _copy(chapter.folder / picture.file, folder / _name(picture))
         whole_file.write(folder / FILE, "\n\n".join(parts) + "\n")
     except OSError as error:
         raise ResultError(f"{error.filename}: {error.strerror}") from None
@@ -69,7 +70,27 @@ def _grid(grid: Grid) -> str:
 def _picture(picture: Picture, chapter: Chapter) -> tuple[str, ...]:
     if fault := chapter.fault(picture):
         return (f"**{_text(report.not_shown(picture, fault))}**",)
-    return f"![{_text(picture.caption)}]({Path(picture.file).name})", f"*{_text(report.caption(picture))}*"
+    return f"![{_text(picture.caption)}]({_name(picture)})", f"*{_text(report.caption(picture))}*"
+
+
+def _copy(picture: Path, to: Path) -> None:
+    """Without loss, at half the size.
+
+    Raises:
+        ResultError: it is no picture.
+        OSError: the copy cannot be written.
+    """
+    try:
+        with Image.open(picture) as opened:
+            drawn = opened.convert("RGB")
+    except OSError as error:
+        reason = error.strerror or "not a picture"
+        raise ResultError(f"{picture}: {reason}; the result names it as a picture") from None
+    drawn.save(to, lossless=True, method=6)
+
+
+def _name(picture: Picture) -> str:
+    return Path(picture.file).with_suffix(".webp").name
 
 
 def _text(text: str) -> str:

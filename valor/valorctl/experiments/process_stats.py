@@ -22,6 +22,7 @@ SECONDS, QUICK = 300.0, 3.0
 PERIOD = 0.5  # between two looks [s]
 PATIENCE = 10.0  # with a process that should speak [s]
 _VRC = "valor_ros_controller"
+_DOES = {"simulation": "simulates the robot here", "hardware": "speaks to devices, too, which are emulated here"}
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ def run(run: Run) -> None:
     seconds = QUICK if run.options.quick else SECONDS
     bag = run.out / "process_stats.mcap"
     accompanied: _Stood | None = None
-    with run.system(bag=bag):
+    with run.system(bag=bag) as settings:
         pids = {name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid}
         alone = _stand(run, pids, seconds)
         if run.options.beside:
             with beside.working(run) as others:
                 accompanied = _stand(run, pids | others, seconds)
-    usage = alone.usage
+    usage, variant = alone.usage, settings.variant
     run.text = (
         f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
         f"system running and the recorder recording all. Each process is looked at every {PERIOD:g} s. Percentages "
@@ -73,10 +74,9 @@ def run(run: Run) -> None:
                 "the same size, of other things: here the interpreter, NumPy and rclpy"),
         Measure("Motion System processor, mean",
                 float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
-                "over 150", "a core and a half there; the Comms Manager's part simulates the robot here, and spoke to "
-                "devices there"),
+                "over 150", f"a core for control there, half of one for devices; the Comms Manager {_DOES[variant]}"),
         Measure("robot time against the wall's", alone.pace, "", "", "below 1 on a computer too busy for the "
-                "simulation: percentages are as much lower"),
+                "plant: percentages are as much lower"),
         Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",
                 "every message of every topic, at the control rate"),
         Measure("recorder, messages dropped", float(alone.dropped), "", "", "of all topics, since it began"),
