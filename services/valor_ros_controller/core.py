@@ -142,6 +142,7 @@ class Core:
         self._last_time = hw.time
         self._modes.update(hw)
         self._enter_mode(went_back)
+        self.mode_controller.answer()
         hw.command_offset.fill(0.0)
         self.joints.update(hw)
         self.robots.update(hw)

@@ -84,6 +84,7 @@ class Plant:
                         command[0], verdict.accepted, verdict.reason, obstacle=verdict.obstacle
                     )
             self.controller.update(self._hw)
+            self.controller.answer()
 
     def ask(self, mode: str, cycles: int = 12) -> ModeReport:
         client = ModeClient(mode)

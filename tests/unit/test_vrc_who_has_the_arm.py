@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from harness.vrc_in_process import ROBOT, System
+from harness.vrc_in_process import ROBOT, ModeClient, System
 from valor.common.behaviors import Behavior
-from valor.common.messages import HandGoal
+from valor.common.messages import HandGoal, ModeStatus
 from valor.common.topics import HAND_GOAL
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import LONGEST_WAIT
+from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.errors import ErrorCode
@@ -128,6 +129,51 @@ def test_who_loses_an_arm_to_somebody_is_told_at_once(taker: str) -> None:
     arms.system.run(AT_ONCE)
     # A trajectory of a topic is there to be replaced by the next one, of which senders of streams are not told.
     assert words in arms.told() or "preempted" in words, taker
+
+
+@pytest.mark.parametrize("taker", list(TAKES))
+def test_who_loses_an_arm_that_his_goal_has_not_reached_yet_is_told_too(taker: str) -> None:
+    """A VRC that is held up finds goal and taker in one cycle: what was sent before a stop must not go on after it."""
+    arms, client = Arms(), Client()
+    arms.move(client)
+    TAKES[taker][0](arms)
+    arms.system.run(3 * AT_ONCE, until=lambda: client.outcome is not None)
+    assert client.outcome is not None, f"{taker}: not told"
+    assert client.outcome.code == ErrorCode.INVALID_GOAL, client.outcome
+
+    arms = Arms()
+    arms.move()
+    TAKES[taker][0](arms)
+    arms.system.run(3 * AT_ONCE)
+    assert arms.told() or "preempted" in TAKES[taker][1], taker
+
+
+def test_what_is_sent_on_the_word_that_a_mode_is_changed_comes_behind_the_change() -> None:
+    arms, goal = Arms(), Client()
+    seen: list[ModeReport] = []
+
+    class Sender(ModeClient):
+        def finish(self, report: ModeReport) -> None:
+            seen.append(report)
+            arms.move(goal)
+
+    arms.system.vrc.mode_controller.request("stop", Sender())
+    arms.system.run(AT_ONCE)
+    assert [report.status for report in seen] == [ModeStatus.MODE_ACCEPTED]
+    assert goal.outcome is None and goal.feedbacks, "ended by the stop that it came after"
+
+
+def test_a_second_stop_stops_what_was_begun_since_the_first() -> None:
+    arms, client = Arms(), Client()
+    arms.system.ask("stop")
+    arms.system.run(AT_ONCE)
+    arms.move(client)
+    arms.system.run(60)
+    assert client.outcome is None and client.feedbacks
+    again = arms.system.ask("stop")
+    arms.system.run(AT_ONCE)
+    assert again.report.status == ModeStatus.MODE_ACCEPTED | ModeStatus.MODE_DUPLICATE
+    assert client.outcome is not None and "deactivated: control mode stop" in client.outcome.text
 
 
 @pytest.mark.parametrize("taker", [name for name in TAKES if name not in ("a hand goal", "a switch", "silence")])

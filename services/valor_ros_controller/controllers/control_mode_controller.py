@@ -83,6 +83,7 @@ class ControlModeController:
         self._motion = motion_system
         self._requests: deque[tuple[str, ModeClient | None]] = deque()
         self._change: _Change | None = None
+        self._answers: list[tuple[ModeClient, ModeReport]] = []
         self._followed = ""  # the behavior that the mode was last compared with
         self._again = ""  # a mode that the controller itself shall ask for
         self.report = ModeReport("", ControlMode.NONE, _S.ERR_CONTROLLER_NOT_READY)
@@ -126,6 +127,12 @@ class ControlModeController:
             return  # each report is seen for a cycle, that of an external change above all
         while self._requests:
             self._consider(*self._requests.popleft())
+
+    def answer(self) -> None:
+        """Tell who asked. Once the mode's controllers run: what is sent on that word comes behind the change."""
+        answers, self._answers = self._answers, []
+        for client, report in answers:
+            client.finish(report)
 
     # --- what the Motion System does ------------------------------------------------------------------------------
 
@@ -222,10 +229,10 @@ class ControlModeController:
             self._refuse(requested, client, refused.error, str(refused))
             return
         if not change and target.mode == self.current:
+            self.hard_resets += not self._table.modes[target.mode].motion  # stop: of what moves since the last one
             report = ModeReport(target.mode, self.current, _S.MODE_ACCEPTED | _S.MODE_DUPLICATE)
             self._set(report)
-            if client:
-                client.finish(report)
+            self._conclude(client, report)
             return
         if change:
             self._finish(_S.MODE_PREEMPTED, f"preempted by {target.mode}")
@@ -249,8 +256,7 @@ class ControlModeController:
             self.active_mode = name
             report = ModeReport(name, name, _S.MODE_ACCEPTED)
             self._set(report)
-            if client:
-                client.finish(report)
+            self._conclude(client, report)
             return
         if mode.switch != "on_feedback":
             self.active_mode = name
@@ -269,8 +275,7 @@ class ControlModeController:
         if not status & _S.MODE_ACCEPTED:
             self._refused(change.requested, reason)
         self._set(report)
-        if change.client:
-            change.client.finish(report)
+        self._conclude(change.client, report)
 
     def _refuse(self, requested: str, client: ModeClient | None, error: ModeStatus, reason: str) -> None:
         """Nothing happens but an answer; the report on the topic carries it too, with the mode unchanged."""
@@ -278,8 +283,12 @@ class ControlModeController:
         report = ModeReport(requested, self.current, _S.MODE_REJECTED | error)
         if self._change is None:
             self._set(report)
+        self._conclude(client, report)
+
+    def _conclude(self, client: ModeClient | None, report: ModeReport) -> None:
+        """Have who asked told what became of it; ``None``: nobody waits."""
         if client:
-            client.finish(report)
+            self._answers.append((client, report))
 
     def _refused(self, requested: str, reason: str) -> None:
         """Have the reason told: ``ControlModeStatus`` has no place for it."""

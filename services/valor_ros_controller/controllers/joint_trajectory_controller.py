@@ -108,15 +108,18 @@ class JointTrajectoryController:
         self._hold_motion_system(hw)
 
     def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
-        """Give the joints back; a goal in progress is aborted."""
+        """Give the joints back; a goal in progress is aborted.
+
+        So is one that has come and waits for this cycle: it was sent before, and who starts again is to hold.
+        """
         self.active = self.writing = False
         hw.release(self.name)
-        self._end(
-            Outcome(
-                ErrorCode.INVALID_GOAL,
-                f"Current goal cancelled during deactivate transition: {self.name} was deactivated: {reason}",
-            )
-        )
+        text = f"Current goal cancelled during deactivate transition: {self.name} was deactivated: {reason}"
+        self._end(Outcome(ErrorCode.INVALID_GOAL, text))
+        while self._queue:
+            entry = self._queue.popleft()
+            if isinstance(entry, TrajectoryRequest):
+                self.refuse(entry.goal, InvalidTrajectoryError(text))
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """Obey what came, then write the set-point of this cycle."""
