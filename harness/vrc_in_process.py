@@ -69,6 +69,10 @@ class Mailbox:
         newest, self._newest = self._newest, None
         return newest
 
+    def drain(self, limit: int) -> list[Received[Any]]:
+        newest = self.latest()
+        return [] if newest is None else [newest]
+
     def wake(self) -> None:
         self.woken = True
 
@@ -82,6 +86,7 @@ class Network:
     """Topics by name, in the place of a Bifrost node."""
 
     topics: dict[str, Mailbox] = field(default_factory=dict)
+    name = "test"
 
     def topic(self, name: str) -> Mailbox:
         return self.topics.setdefault(name, Mailbox())

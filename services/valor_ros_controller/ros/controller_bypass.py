@@ -80,7 +80,7 @@ class ControllerBypass:
         self._interface = interface
         self._hands = HandGoals(ros, node, dict(frames), self.rejections)
         self._cycle = 0
-        self._mode = ""
+        self._resets = 0
         self._newest: RealTimeBuffer[Twist] = RealTimeBuffer()
         self._waiting: deque[tuple[str, Command]] = deque(maxlen=QUEUE)
         self._velocity = VELOCITY.publisher(node)
@@ -107,14 +107,15 @@ class ControllerBypass:
             self._hands.publish(self._interface.silent)
             self.rejections.publish()
 
-    def update(self, control_mode: str, hw: ValorEscherHWInterface) -> None:
-        """Pass on what has come for the Motion System."""
-        for _ in range(min(len(self._waiting), AT_ONCE)):
+    def update(self, control_mode: str, hw: ValorEscherHWInterface, resets: int) -> None:
+        """Pass on what has come for the Motion System; ``resets``: how often all controllers had to start anew."""
+        stopped = control_mode == ControlMode.STOP and resets != self._resets
+        self._resets = resets
+        for _ in range(len(self._waiting) if stopped else min(len(self._waiting), AT_ONCE)):
             _, hand_over = self._waiting.popleft()
             hand_over(hw)
-        if control_mode == ControlMode.STOP != self._mode:
+        if stopped:
             self._hands.release_all(hw)  # the trajectories of the arms have ended, too
-        self._mode = control_mode
         twist = self._newest.read()
         if twist is None or control_mode not in WALKING_MODES:
             return

@@ -58,6 +58,7 @@ class HandGoals:
         self._goal = HAND_GOAL_TOPIC.publisher(node)
         self.heard = HAND_GOAL_STATUS.subscriber(node, queue=QUEUE)
         self._publishers = [TwinPublisher(ros, RosHandGoalStatus, GOAL_STATUS.format(hand), LATCHED) for hand in HANDS]
+        self._led: set[int] = set()  # hands to which a goal was handed over since they were let go
         self._newest: list[bifrost.Received[HandGoalStatus] | None] = [None] * len(HANDS)
 
     def commands(self) -> list[tuple[type, str, Callable[[Any], Command]]]:
@@ -85,11 +86,11 @@ class HandGoals:
                     self._tell(bifrost.Received(over, 0, newest.sequence, self._origin))
 
     def release_all(self, hw: ValorEscherHWInterface) -> None:
-        """Have the arms stay where they are."""
+        """Have the arms stay where they are, also those of goals that the Motion System has not told of yet."""
         leaders = (hw.motion.left_arm, hw.motion.right_arm) if hw.motion else ()
-        for hand, leader in enumerate(leaders):
-            if leader == HAND_GOAL:
-                self._release(hand, None)(hw)
+        led = {hand for hand, leader in enumerate(leaders) if leader == HAND_GOAL}
+        for hand in sorted(led | self._led):
+            self._release(hand, None)(hw)
 
     def _tell(self, status: bifrost.Received[HandGoalStatus]) -> None:
         self._newest[status.message.hand] = status
@@ -107,9 +108,15 @@ class HandGoals:
                 self._rejections.refuse(GOAL_POSE.format(HANDS[hand]), reason)
             else:
                 self._goal.publish(HandGoal(hw.time, hand, True, known, position, orientation))
+                self._led.add(hand)
 
         return hand_over
 
     def _release(self, hand: int, _: Any) -> Command:
         nothing = np.zeros(0)
-        return lambda hw: self._goal.publish(HandGoal(hw.time, hand, False, "", nothing, nothing))
+
+        def let_go(hw: ValorEscherHWInterface) -> None:
+            self._goal.publish(HandGoal(hw.time, hand, False, "", nothing, nothing))
+            self._led.discard(hand)
+
+        return let_go
