@@ -39,7 +39,7 @@ class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy is unty
             node: the ROS node.
             action_type: generated.
             name: absolute.
-            on_goal: is given each goal, already executing; in the executor's thread.
+            on_goal: is given each goal, already executing; in the executor's thread. What it raises ends the goal.
             on_cancel: says whether a goal may be canceled; likewise.
             late: makes the result of one that was held back on its way, and is refused, of the reason; None: it is
                 obeyed as all others.
@@ -63,8 +63,12 @@ class DeferredActionServer(ActionServer):  # type: ignore[misc]  # rclpy is unty
         if self._late is not None and self._ages is not None and (why := self._ages.late(handle)):
             _log.warning("%s: refused: %s", self._name, why)
             self.finish(handle, "abort", self._late(why))
-        else:
+            return
+        try:
             self._on_goal(handle)
+        except Exception:
+            self.finish(handle, "abort", self.action_type.Result())  # whoever waits is not left waiting
+            raise
 
     def destroy(self) -> None:
         """Offer it no more."""
