@@ -10,8 +10,8 @@ import matplotlib.image
 import numpy as np
 
 from harness.places import REPOSITORY
-from valor.analysis.recording import Posture
-from valor.analysis.scene import Scene
+from valor.drawing.posture import Posture
+from valor.drawing.scene import Scene
 from valor.robot.description import RobotDescription
 
 RUNGS = ("passive", "stand", "arm", "push", "six steps", "walk")

@@ -70,7 +70,7 @@ def test_without_manipulation_there_is_no_before_and_after(tmp_path: Path, monke
 def test_without_opengl_the_error_says_what_to_install(bag: Bag, tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path\n"
-        "from valor.analysis import pictures; from valor.analysis.errors import RenderingError\n"
+        "from valor.analysis import pictures; from valor.drawing.errors import RenderingError\n"
         "from valor.robot.description import RobotDescription\n"
         "robot = RobotDescription.load(Path(sys.argv[2]))\n"
         "try: pictures.render_before_after(Path(sys.argv[1]), robot, Path(sys.argv[3]))\n"

@@ -17,12 +17,12 @@ import pytest
 from harness import analysis_bag
 from harness.bag_file import type_store, write_bag
 from harness.places import ROBOTS
-from valor.analysis import ground_tiles, marks
 from valor.analysis.film import film, moments
 from valor.analysis.film.cameras import CAMERAS, views
 from valor.analysis.film.moments import TRUTH
 from valor.common.errors import ValorError
 from valor.common.poses import Pose
+from valor.drawing import ground_tiles, marks
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from valor.analysis.errors import RenderingError
 from valor.common.errors import ValorError
+from valor.drawing.errors import RenderingError
 from valor.valorctl import demonstration
 from valor.valorctl.console import Progress
 from valor.valorctl.interruption import InterruptedBySignalError, Interruption

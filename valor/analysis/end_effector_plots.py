@@ -11,13 +11,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from valor.analysis import marks, style
+from valor.analysis import style
 from valor.analysis.bands import bands, keys, make_room
 from valor.analysis.end_effector import HandTrack, PoseError
-from valor.analysis.recording import Posture, Recording
-from valor.analysis.scene import Scene
+from valor.analysis.recording import Recording
 from valor.analysis.timeline import Motion
 from valor.common.arrays import FloatArray
+from valor.drawing import marks
+from valor.drawing.posture import Posture
+from valor.drawing.scene import Scene
 
 _AXES = ("x", "y", "z")
 _TURNS = ("roll", "pitch", "yaw")

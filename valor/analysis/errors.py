@@ -2,13 +2,6 @@
 
 from valor.common.errors import ValorError
 
-OFFSCREEN = ("libegl1", "libgl1-mesa-dri", "libopengl0")
-"""What Debian and Ubuntu call that by which pictures are drawn off screen."""
-
-
-class RenderingError(ValorError):
-    """This computer cannot render off screen: names what to install."""
-
 
 class SignalError(ValorError):
     """A signal has too few samples, or two have too little in common, for what is asked of them."""

@@ -9,10 +9,11 @@ import numpy as np
 
 from valor.analysis import style
 from valor.analysis.bag import Bag
-from valor.analysis.recording import Posture, Recording
-from valor.analysis.scene import Scene
+from valor.analysis.recording import Recording
 from valor.bags.errors import BagError
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.drawing.posture import Posture
+from valor.drawing.scene import Scene
 from valor.robot.description import RobotDescription
 
 PANEL = (760, 960)  # width, height [pixels]

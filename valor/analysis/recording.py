@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,24 +12,13 @@ from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import MANIPULATING
 from valor.common.topics import GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
+from valor.drawing.posture import Posture
 from valor.robot.description import RobotDescription
 
 
 def recorded(topic: Topic[Any]) -> str:
     """The ROS name under which the recorder keeps a Bifrost topic."""
     return f"/bifrost/{topic.name}"
-
-
-@dataclass(frozen=True)
-class Posture:
-    """The whole robot at one moment."""
-
-    time: float  # robot time [s]
-    behavior: str
-    pelvis_position: FloatArray  # (3,) [m]
-    pelvis_orientation: FloatArray  # (4,) (w, x, y, z)
-    joint_position: FloatArray  # (n,) [rad]
-    fixture_position: FloatArray = field(default_factory=lambda: np.zeros(0))  # of the world's joints, if known [rad]
 
 
 class Recording:

@@ -12,11 +12,11 @@ from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
 from valor.analysis import style
-from valor.analysis.offscreen import Image
-from valor.analysis.recording import Posture
-from valor.analysis.scene import Scene
 from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
+from valor.drawing.offscreen import Image
+from valor.drawing.posture import Posture
+from valor.drawing.scene import Scene
 from valor.robot.checks import SIDES
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, full_model

@@ -17,10 +17,10 @@ from matplotlib.patches import Polygon
 from valor.analysis import style
 from valor.analysis.bag import Bag
 from valor.analysis.recording import Recording, nearest
-from valor.analysis.scene import Scene
 from valor.analysis.walk import Figures, Footprint, Track, footprints, runs
 from valor.common.arrays import FloatArray
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE
+from valor.drawing.scene import Scene
 from valor.robot.description import RobotDescription
 from valor.robot.tables import Foot
 from valor.simulation import worlds

@@ -19,13 +19,13 @@ from typing import Literal
 import psutil
 
 import bifrost
-from valor.analysis.errors import OFFSCREEN
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.linking import NAMES, ports_to_robot
 from valor.common.priority import granted, own_core
 from valor.common.processes import PROCESSES
 from valor.common.resources import IN_CHECKOUT, REPAIR
+from valor.drawing.errors import OFFSCREEN
 from valor.valorctl import leftovers, ros_domain, supervisor_config
 from valor.valorctl.health import SILENCE, Listener
 from valor.valorctl.supervision import Supervisor

@@ -10,7 +10,7 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
 from valor.analysis import bands, style
-from valor.analysis.offscreen import Image
+from valor.drawing.offscreen import Image
 
 _SHARE = 0.036  # of the picture's height
 _SMALLEST = 11  # [pixels]

@@ -13,9 +13,9 @@ from typing import Any
 import av
 import numpy as np
 
-from valor.analysis.offscreen import Image
 from valor.common import whole_file
 from valor.common.errors import ConfigurationError, ValorError, expected
+from valor.drawing.offscreen import Image
 
 
 @dataclass(frozen=True)

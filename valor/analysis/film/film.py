@@ -10,10 +10,10 @@ from pathlib import Path
 from valor.analysis.film import files, frames, moments, studio
 from valor.analysis.film.cameras import CAMERAS
 from valor.analysis.film.moments import Moments
-from valor.analysis.scene import MOVING, SMALL, STILL
 from valor.bags.errors import BagError
 from valor.bags.origin import origin_of, robot_of
 from valor.common.errors import ConfigurationError, require_one_of
+from valor.drawing.scene import MOVING, SMALL, STILL
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 

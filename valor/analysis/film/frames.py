@@ -10,15 +10,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from valor.analysis import marks
 from valor.analysis.film.cameras import Camera, View, views
 from valor.analysis.film.moments import JOINTS, ODOMETRY, STATE, TRUTH, Moment, Moments
-from valor.analysis.marks import Mark
-from valor.analysis.recording import Posture
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.poses import Pose
 from valor.common.rotation import heading, quaternion
+from valor.drawing import marks
+from valor.drawing.marks import Mark
+from valor.drawing.posture import Posture
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 

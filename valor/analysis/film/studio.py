@@ -16,12 +16,12 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from valor.analysis.errors import RenderingError
 from valor.analysis.film import captions
 from valor.analysis.film.frames import Frame
-from valor.analysis.offscreen import Image
-from valor.analysis.scene import Quality, Scene
 from valor.common.errors import ValorError
+from valor.drawing.errors import RenderingError
+from valor.drawing.offscreen import Image
+from valor.drawing.scene import Quality, Scene
 from valor.robot.description import RobotDescription
 
 MOST = 8  # processes; each holds the scene

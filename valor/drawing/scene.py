@@ -9,16 +9,17 @@ import mujoco
 import numpy as np
 from PIL import Image as Pillow
 
-from valor.analysis import ground_tiles
-from valor.analysis.marks import Mark
-from valor.analysis.offscreen import Image, Offscreen
-from valor.analysis.recording import Posture
 from valor.common.arrays import FloatArray
+from valor.drawing import ground_tiles
+from valor.drawing.marks import Mark
+from valor.drawing.offscreen import Image, Offscreen
+from valor.drawing.posture import Posture
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, robot_spec
 from valor.simulation import worlds
 
 _EXTENT = 2.0  # of what is looked at, whatever the world's: haze, shadows and clipping follow it [m]
+_AHEAD = 1.5  # of a camera of the robot's: the point that it looks at [m]
 _SUN = (2.5, -1.7, 3.5)  # from where it shines, seen from below the point looked at [m]
 
 
@@ -137,10 +138,13 @@ class Scene:
     ) -> None:
         """Turn the camera to a point (3,) in world [m], from a direction [degrees] and a distance [m]."""
         self._camera.lookat[:] = point
-        # MuJoCo draws shadows near the lamp alone.
-        self._model.mj.light_pos[self._sun] = (*(point[:2] + _SUN[:2]), _SUN[2])
         self._camera.azimuth, self._camera.elevation, self._camera.distance = azimuth, elevation, distance
-        ground_tiles.show(self._model.mj, point, azimuth)
+        self._light(point, azimuth)
+
+    def look_through(self, camera: str) -> None:
+        """Draw what a camera of the model sees from now on."""
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = self._model.mj.camera(camera).id
 
     def draw(self, posture: Posture, marks: Iterable[Mark] = ()) -> Image:
         """(height, width, 3) the robot in a posture, and marks about it."""
@@ -153,5 +157,16 @@ class Scene:
         mujoco.mj_kinematics(model.mj, data)
         mujoco.mj_comPos(model.mj, data)
         mujoco.mj_camlight(model.mj, data)
+        if self._camera.type == mujoco.mjtCamera.mjCAMERA_FIXED:
+            ahead = -data.cam_xmat[self._camera.fixedcamid].reshape(3, 3)[:, 2]
+            point = data.cam_xpos[self._camera.fixedcamid] + _AHEAD * ahead
+            self._light(point, float(np.rad2deg(np.arctan2(ahead[1], ahead[0]))))
+            mujoco.mj_camlight(model.mj, data)
         image = self._offscreen.render(data, self._camera, marks)
         return np.asarray(Pillow.fromarray(image).resize(self._size, Pillow.Resampling.BOX))
+
+    def _light(self, point: FloatArray, azimuth: float) -> None:
+        """The sun and the ground for a point (3,) in world [m], seen in a direction [degrees]."""
+        # MuJoCo draws shadows near the lamp alone.
+        self._model.mj.light_pos[self._sun] = (*(point[:2] + _SUN[:2]), _SUN[2])
+        ground_tiles.show(self._model.mj, point, azimuth)

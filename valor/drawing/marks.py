@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from valor.analysis import style
 from valor.common.arrays import FloatArray
 from valor.common.colors import COM, COP, DCM, DCM_REFERENCE, FORCE, SUPPORT
 from valor.common.poses import Pose
@@ -116,6 +115,6 @@ def balance(com: FloatArray, dcm: FloatArray, reference: FloatArray, cop: FloatA
     return marks
 
 
-def trace(points: FloatArray, color: str = style.MEASURED, width: float = 0.006) -> list[Mark]:
+def trace(points: FloatArray, color: str, width: float = 0.006) -> list[Mark]:
     """The way that a point went: (n, 3) [m]."""
     return [Line(np.stack(pair), color, width) for pair in pairwise(points)] if len(points) > 1 else []

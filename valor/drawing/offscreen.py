@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from valor.analysis.errors import OFFSCREEN, RenderingError
-from valor.analysis.marks import Arrow, Ball, Line, Mark
 from valor.common.arrays import FloatArray
+from valor.drawing.errors import OFFSCREEN, RenderingError
+from valor.drawing.marks import Arrow, Ball, Line, Mark
 
 Image = npt.NDArray[np.uint8]
 
