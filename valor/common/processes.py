@@ -13,9 +13,11 @@ from typing import Literal
 DAEMON = "bifrostd"
 RECORDER = "bag_recorder"
 FOXGLOVE = "foxglove_bridge"
+HEAD_CAMERA = "head_camera"
 OPERATOR_STOP = "operator_stop"
 VIEW = "--view"
 LINK = "--link"
+CAMERA = "--camera"
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the process again
 
 Cores = Literal["own", "others", "any"]
@@ -68,6 +70,7 @@ PROCESSES: tuple[Process, ...] = (
     Process("operator_station",     "the page to see and drive the robot",    20.0,  300.0, turns="background", option=VIEW),
     Process("link_robot",           "robot's end of the link to the operator", 25.0, 130.0, option=LINK),
     Process("link_operator",        "operator's end of it, in his ROS domain", 25.0, 130.0, option=LINK),
+    Process(HEAD_CAMERA,            "the simulated robot's camera, for ROS 2", 40.0, 250.0, turns="background", option=CAMERA),
     Process(FOXGLOVE,               "ROS topics and a scene, for Foxglove",   20.0,  150.0, turns="background", option="--foxglove"),
 )
 # fmt: on

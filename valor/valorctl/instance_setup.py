@@ -22,7 +22,17 @@ from valor.common.bounds import Bounds
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import ClockMode, Instance, Link, Recording, RosCommands, Settings, ros_namespace
-from valor.common.processes import BY_NAME, FOXGLOVE, LINK, OPERATOR_STOP, PROCESSES, RECORDER, VIEW
+from valor.common.processes import (
+    BY_NAME,
+    CAMERA,
+    FOXGLOVE,
+    HEAD_CAMERA,
+    LINK,
+    OPERATOR_STOP,
+    PROCESSES,
+    RECORDER,
+    VIEW,
+)
 from valor.common.resources import profile_file, robot_folder
 from valor.common.viewing import Viewing
 from valor.robot.description import RobotDescription
@@ -55,6 +65,7 @@ class Request:
     initial_mode: str | None = None  # empty: leave the robot as it starts
     ros_commands: RosCommands = "all"
     foxglove: str | None = None  # [HOST:]PORT; empty: the usual one
+    camera: bool = False  # in the simulated robot's head
     view: Viewing | None = None  # serve the operator's page there
     link: Link = field(default_factory=Link)  # its domain: none, unless there is one
     ros_domain: int | None = None
@@ -94,6 +105,8 @@ def plan(request: Request) -> Plan:
         profile = msgspec.structs.replace(profile, processes=request.deployment.processes)
         listed = profile.processes
     profile = _with_options(profile, request)
+    if HEAD_CAMERA in profile.processes and profile.variant != "simulation":
+        raise ConfigurationError(f"{CAMERA}: profile {request.profile} has no simulated world; expected a real camera")
     settings = Settings(
         profile=request.profile,
         variant=profile.variant,
@@ -140,7 +153,7 @@ def _hosts(request: Request, profile: Profile, listed: Collection[str]) -> dict[
         return {}
     if request.link.domain is not None:
         raise ConfigurationError("--link: both ends run on this computer; expected `link:` in --deployment's file")
-    asked = {VIEW: request.view is not None, "--foxglove": request.foxglove is not None}
+    asked = {VIEW: request.view is not None, "--foxglove": request.foxglove is not None, CAMERA: request.camera}
     for host, row in request.deployment.hosts.items():
         for name in row.processes:
             if host != request.here and asked.get(BY_NAME[name].option):
@@ -156,7 +169,7 @@ def _with_options(profile: Profile, request: Request) -> Profile:
     """With what options ask for, and without what they do not want."""
     if request.foxglove is not None:
         profile = profile.adding(FOXGLOVE)
-    asked = {VIEW: request.view is not None, LINK: request.link.domain is not None}
+    asked = {VIEW: request.view is not None, LINK: request.link.domain is not None, CAMERA: request.camera}
     at_robot = request.deployment is None or request.here not in request.deployment.operators
     for process in PROCESSES:
         stop = process.name == OPERATOR_STOP  # it speaks Bifrost with the robot: not from behind a link

@@ -1,4 +1,7 @@
-"""One robot for all files of this folder, that Foxglove may look at; the last file takes it down and reads its bag."""
+"""One robot for all files of this folder, with a camera, and Foxglove may look on.
+
+The last file takes it down and reads its bag.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ def system(port: int) -> Iterator[System]:
     """It stands."""
     pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    with running("tools", home, "--foxglove-at", str(port), "--world", "stairs") as system:
+    with running(
+        "tools", home, "--foxglove-at", str(port), "--camera", "--bag-without", "/camera/*", "--world", "stairs"
+    ) as system:
         yield system
     shutil.rmtree(home, ignore_errors=True)
 

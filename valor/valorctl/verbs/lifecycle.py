@@ -93,6 +93,10 @@ FoxgloveAt = Annotated[
     str | None,
     typer.Option(metavar="[HOST:]PORT", help="The same, there; beyond this computer anybody may look."),
 ]
+Camera = Annotated[
+    bool,
+    typer.Option("--camera", help="The simulated robot has a camera: ROS topic camera/image_raw/compressed."),
+]
 View = Annotated[bool, typer.Option("--view", help="Serve a page on which the robot is seen and driven.")]
 ViewHost = Annotated[str | None, typer.Option(metavar="ADDRESS", help="The same, there; beyond this computer by TLS.")]
 ViewCertificate = Annotated[
@@ -134,6 +138,7 @@ def up(
     ros_commands: Commands = "all",
     foxglove: Foxglove = False,
     foxglove_at: FoxgloveAt = None,
+    camera: Camera = False,
     view: View = False,
     view_host: ViewHost = None,
     view_certificate: ViewCertificate = None,
@@ -157,7 +162,7 @@ def up(
         wait_for_vrc=wait_for_vrc, bag=bag, bag_bound=tuple(bag_bound or ()), no_bag=no_bag,
         recording=recording_options.recording(bag_only or (), bag_without or (), bag_split or (), bag_ring),
         initial_mode=initial_mode, ros_commands=ros_commands, foxglove=foxglove_at or ("" if foxglove else None),
-        view=shown_at, link=linking.parsed(link, when_lost), ros_domain=domain, namespace=namespace,
+        camera=camera, view=shown_at, link=linking.parsed(link, when_lost), ros_domain=domain, namespace=namespace,
         peers=None if peers is None else tuple(filter(None, peers.split(","))),
     )  # fmt: skip
     plan = instance_setup.plan(request)
