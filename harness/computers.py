@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -16,10 +16,18 @@ class ComputersError(Exception):
 
 
 class Computers:
-    """Some computers on one switch: 10.76.<network>.1, .2, …, in the order of their names."""
+    """Some computers on one switch: 10.76.<network>.1, .2, …, in the order of their names; others on one of their own.
 
-    def __init__(self, names: tuple[str, ...], network: int) -> None:
-        self.addresses = {name: f"10.76.{network}.{place}" for place, name in enumerate(names, 1)}
+    Attributes:
+        addresses: by name.
+        between: of a computer that both switches have, on the first and on the other one; it passes nothing on.
+    """
+
+    def __init__(self, names: tuple[str, ...], network: int, apart: Collection[str] = ()) -> None:
+        self._apart = frozenset(apart)
+        nets = {False: f"10.76.{network}", True: f"10.77.{network}"}
+        self.addresses = {name: f"{nets[name in apart]}.{place}" for place, name in enumerate(names, 1)}
+        self.between = (f"{nets[False]}.254", f"{nets[True]}.254")
         self._prefix = f"valor_{os.getpid()}_{network}"
         self._switch = f"{self._prefix}_switch"
         self._port = {name: f"v{os.getpid()}{network}s{place}" for place, name in enumerate(names)}
@@ -28,6 +36,10 @@ class Computers:
         """What a command is begun with to run on a computer, whose clock since boot may be ahead [s]."""
         clock = ("unshare", "--time", f"--monotonic={ahead:g}", f"--boottime={ahead:g}") if ahead else ()
         return ("ip", "netns", "exec", self._name(name), *clock)
+
+    def inside_between(self) -> tuple[str, ...]:
+        """What a command is begun with to run between the switches."""
+        return ("ip", "netns", "exec", self._switch)
 
     def pull(self, name: str) -> None:
         """Pull a computer's cable: its own side sees no carrier, and keeps its address."""
@@ -53,26 +65,38 @@ class Computers:
             _run("ip", "netns", "add", space)
             stack.callback(subprocess.run, ["ip", "netns", "delete", space], check=False)
             _run("ip", "-n", space, "link", "set", "lo", "up")
-        _run("ip", "-n", self._switch, "link", "add", "switch", "type", "bridge")
-        _run("ip", "-n", self._switch, "link", "set", "switch", "up")
+        for switch, address in zip(("switch", "apart"), self.between, strict=True):
+            _run("ip", "-n", self._switch, "link", "add", switch, "type", "bridge")
+            _run("ip", "-n", self._switch, "address", "add", f"{address}/24", "dev", switch)
+            _run("ip", "-n", self._switch, "link", "set", switch, "up")
         for name, address in self.addresses.items():
             port, own = self._port[name], f"{self._port[name]}x"
             _run("ip", "link", "add", port, "netns", self._switch, "type", "veth", "peer", "name", own)
             _run("ip", "link", "set", own, "netns", self._name(name))
-            _run("ip", "-n", self._switch, "link", "set", port, "master", "switch", "up")
+            _run(
+                "ip",
+                "-n",
+                self._switch,
+                "link",
+                "set",
+                port,
+                "master",
+                "apart" if name in self._apart else "switch",
+                "up",
+            )
             _run("ip", "-n", self._name(name), "address", "add", f"{address}/24", "dev", own)
             _run("ip", "-n", self._name(name), "link", "set", own, "up")
 
 
 @contextmanager
-def computers(*names: str, network: int = 0) -> Iterator[Computers]:
-    """Make computers, and take them away.
+def computers(*names: str, network: int = 0, apart: Collection[str] = ()) -> Iterator[Computers]:
+    """Make computers, and take them away; ``apart``: those that nothing joins with the others.
 
     Raises:
         ComputersError: that cannot be done here.
     """
     with ExitStack() as stack:
-        made = Computers(names, network)
+        made = Computers(names, network, apart)
         made.make(stack)
         yield made
 

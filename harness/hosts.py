@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ class Hosts:
     def __init__(self, network: Computers, folder: Path, deployment: str, instance: str) -> None:
         self.network, self.folder, self.instance = network, folder, instance
         self.file = folder / "trio.yaml"
-        for name, address in network.addresses.items():
+        for name, address in {**network.addresses, "between": network.between[1]}.items():
             deployment = deployment.replace(f"@{name}", address)
         self.file.write_text(deployment)
         self.ahead = dict.fromkeys(network.addresses, 0.0)  # of each one's clock since boot [s]
@@ -73,6 +73,10 @@ class Hosts:
     def states(self, name: str) -> dict[str, str]:
         """How the processes fare, as a computer sees it."""
         return {row["name"]: row["state"] for row in self.status(name)["services"]}
+
+    def left(self, name: str) -> list[psutil.Process]:
+        """What runs of the instance on a computer."""
+        return leftovers.processes_of(Instance(self.instance, self.home(name)))
 
     def join(self, name: str, first: str) -> None:
         """Bring a computer its ticket from the first, and start its agent."""
@@ -136,7 +140,7 @@ class Hosts:
         self._kill_rest(name)
 
     def _kill_rest(self, name: str) -> None:
-        for process in leftovers.processes_of(Instance(self.instance, self.home(name))):
+        for process in self.left(name):
             with contextlib.suppress(psutil.NoSuchProcess):
                 process.kill()
 
@@ -148,6 +152,8 @@ class Hosts:
             here = next(reversed(self._agents), None)
             if here is not None:
                 self.valorctl(here, "down", "--deployment", str(self.file))
+            if Deployment.load(self.file).link is not None:  # whose two sides are not one to `down`
+                self.valorctl(next(iter(self._agents)), "down", "--deployment", str(self.file))
         finally:
             for name in list(self._agents):
                 self.stop_agent(name)
@@ -165,7 +171,9 @@ def deployment_text(name: str) -> str:
 
 
 @contextmanager
-def hosts(folder: Path, deployment: str, instance: str, *names: str, **ahead: float) -> Iterator[Hosts]:
+def hosts(
+    folder: Path, deployment: str, instance: str, *names: str, apart: Collection[str] = (), **ahead: float
+) -> Iterator[Hosts]:
     """Computers that have joined a deployment, in whose text ``@name`` stands for an address.
 
     Args:
@@ -173,6 +181,7 @@ def hosts(folder: Path, deployment: str, instance: str, *names: str, **ahead: fl
         deployment: the file's text.
         instance: name of the instance.
         names: of the computers; the last is where keys are made.
+        apart: those that nothing joins with the others but what is between them, whose address is ``@between``.
         ahead: by how much a computer's clock since boot is ahead [s].
 
     Raises:
@@ -180,7 +189,7 @@ def hosts(folder: Path, deployment: str, instance: str, *names: str, **ahead: fl
     """
     if ahead and subprocess.run(["unshare", "--time", "true"], capture_output=True, check=False).returncode:
         raise ComputersError("no time namespaces here")
-    with computers(*names, network=os.getpid() % 250) as network:
+    with computers(*names, network=os.getpid() % 250, apart=apart) as network:
         made = Hosts(network, folder, deployment, instance)
         made.ahead |= ahead
         try:

@@ -22,6 +22,7 @@ from valor.link.ends import OperatorEnd
 from valor.link.errors import SealError
 from valor.link.fields import Layout
 from valor.link.joining import session
+from valor.link_operator.beyond import Beyond
 from valor.link_operator.fates import Fates
 from valor.link_operator.goals import Goals
 from valor.link_operator.progress import Progress
@@ -70,6 +71,7 @@ class LinkOperator:
         self._fates = Fates()
         self._goals = Goals(node, self._end, self._deflated, self._fates)
         self._progress = Progress(node, f"{settings.frame_prefix}{ODOM}", self._goals.feedback)
+        self._beyond = Beyond(context.node, self._end)
         self._rejections = node.create_publisher(Rejection, "flor/controller/rejection", KEPT)
         self._status = node.create_publisher(DiagnosticStatus, "link/status", LATCHED)
         for place, command in enumerate(COMMANDS):
@@ -85,6 +87,7 @@ class LinkOperator:
     def _turn(self, now: float) -> None:
         for event in self._end.events():
             self._hear(event)
+        self._beyond.turn()
         self._show(now)
         self._things.turn(now)
 
@@ -126,8 +129,11 @@ class LinkOperator:
             _log.info("session %d with the robot's end", self._end.session.number)
             self._goals.lose_all("the link began anew; what becomes of it is not known")
             self._fates.lose_all("the link began anew; what became of it is not known")
+            self._beyond.lose_all("the link began anew; what became of it is not known")
         elif isinstance(event, GivenUp):
             for number in event.ids:
+                if self._beyond.lost(number, "not acknowledged by the robot's side before its deadline"):
+                    continue
                 name = self._fates.name(number)
                 self._goals.given_up(number)
                 self._refuse(name or "link", f"command {number}: not acknowledged before its deadline")
@@ -139,8 +145,13 @@ class LinkOperator:
             word, number, content = read(arrived.content)
             if word is Word.ACCEPTED:
                 self._goals.accepted(number)
+                self._beyond.accepted(number)
             elif word is Word.REFUSED:
-                self._goals.refuse(number, content.decode(errors="replace"))
+                why = content.decode(errors="replace")
+                if not self._beyond.lost(number, f"refused: {why}"):
+                    self._goals.refuse(number, why)
+            elif word is Word.SAID:
+                self._beyond.ended(number, content)
             elif word is Word.RESULT:
                 self._goals.end(number, content)
             elif word is Word.TOLD:

@@ -16,6 +16,7 @@ from valor_msgs.msg import Rejection
 from valor.link.classes import Kind
 from valor.link.end import Arrived, End
 from valor.link.errors import SealError
+from valor.link_robot.verbs import Verbs
 from valor.robot.description import RobotDescription
 from valor.ros.relayed import ACTIONS, COMMANDS, Deflated, Word, read, worded
 
@@ -27,13 +28,17 @@ class Obedience:
     """Publishes and sends goals, from the thread that spins the node: nothing waits between link and ROS."""
 
     def __init__(self, node: Node, end: End, robot: RobotDescription) -> None:
-        self._end = end
+        self._end, self._verbs = end, Verbs(end)
         self._deflated = Deflated(robot)
         self._publishers = [node.create_publisher(each.type, each.name, NEWEST) for each in COMMANDS]
         self._clients = [ActionClient(node, each.type, each.name) for each in ACTIONS]
         self._goals: dict[int, Any] = {}
         self._canceled: set[int] = set()  # before they were accepted
         self._session = 0
+
+    def turn(self, now: float) -> None:
+        """Say what has ended; ``now``: monotonic [s]."""
+        self._verbs.turn(now)
 
     def begin(self) -> None:
         """Another session: goals that run go on, but nobody asks for what becomes of them."""
@@ -56,6 +61,9 @@ class Obedience:
                 self._begin(arrived.id, number, content)
             elif word is Word.CANCEL:
                 self._cancel(number)
+            elif word is Word.VERB:
+                self._verbs.begin(arrived.id, content)
+                self._answer(Word.ACCEPTED, arrived.id)
         except (SealError, IndexError) as error:
             _log.warning("%s of the operator's end: %s", arrived.kind.name, error)
             self._answer(Word.REFUSED, arrived.id, str(error).encode())

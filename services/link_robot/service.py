@@ -68,6 +68,7 @@ class LinkRobot:
             self._obedience.tell(rejection)
         self._observer.rejections.clear()
         self._reporter.tell(now)
+        self._obedience.turn(now)
         self._watch(now)
 
     def _watch(self, now: float) -> None:

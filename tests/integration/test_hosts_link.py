@@ -1,11 +1,16 @@
-"""An instance on three computers, the operator's behind the link: two networks, and its ends between them."""
+"""An instance on three computers, the operator's behind the link: nothing joins the two networks but its UDP ports."""
 
 from __future__ import annotations
 
 import json
+import re
 import socket
+import subprocess
+import sys
 import tempfile
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +21,7 @@ from harness.hosts import Hosts, hosts
 from harness.waiting import wait_until
 from valor.common.instance import Instance
 from valor.valorctl import leftovers
+from valor.valorctl.hosts.apart import LINK_PORT
 from valor.valorctl.hosts.deployment import AGENT_PORT
 
 DEPLOYMENT = """\
@@ -25,29 +31,57 @@ hosts:
   motion: {address: @motion}
   perception: {address: @perception, processes: [footstep_converter, link_robot]}
   operator: {address: @operator, processes: [link_operator]}
-link: {operators: [operator], lost_after: 3}
+link: {operators: [operator], lost_after: 3, through: "@between:9000"}
 """
 PROFILE = "description: ROS' side without a robot.\nprocesses: [bifrostd, footstep_converter]\n"
 ESTABLISHED = "01"  # in /proc/net/tcp
-ALL = {"bifrostd", "footstep_converter", "link_robot", "link_operator"}
+ROBOT = {"bifrostd", "footstep_converter", "link_robot"}
+ALL = {*ROBOT, "link_operator"}
+
+
+@contextmanager
+def between(made: Hosts) -> Iterator[None]:
+    """What the link goes through, as narrow as in the finals."""
+    to = f"{made.network.addresses['perception']}:{LINK_PORT}"
+    listen = f"{made.network.between[1]}:9000"
+    program = [sys.executable, "-m", "valor.link.emulate", "--listen", listen, "--to", to]
+    with subprocess.Popen([*made.network.inside_between(), *program], stdout=subprocess.DEVNULL) as emulator:
+        try:
+            yield
+        finally:
+            emulator.kill()
 
 
 @pytest.fixture(scope="module")
-def up() -> Iterator[Hosts]:
+def apart() -> Iterator[Hosts]:
     with tempfile.TemporaryDirectory(prefix="vl-", ignore_cleanup_errors=True) as folder:
         Path(folder, "ros.yaml").write_text(PROFILE)
         try:
-            with hosts(Path(folder), DEPLOYMENT, "trio", "motion", "perception", "operator") as made:
-                made.valorctl("operator", "up", "--deployment", str(made.file))
+            with (
+                hosts(Path(folder), DEPLOYMENT, "trio", "motion", "perception", "operator", apart=["operator"]) as made,
+                between(made),
+            ):
                 yield made
         except ComputersError as error:
             pytest.skip(str(error))
 
 
+@pytest.fixture(scope="module")
+def up(apart: Hosts) -> Hosts:
+    said = apart.valorctl("operator", "up", "--deployment", str(apart.file))
+    assert "on motion or perception, `valorctl status`, `valorctl up --deployment FILE`" in said, "where, and what"
+    assert "link_operator degraded: the other end of the link is not heard" in said
+    seen = apart.status("operator")
+    assert (seen["beyond_age_s"], seen["ready"]) == (None, False)
+    assert [bool(host["problem"]) for host in seen["hosts"]] == [True, True, False]
+    apart.valorctl("motion", "up", "--deployment", str(apart.file))
+    return apart
+
+
 def healthy(up: Hosts, name: str) -> bool:
     """Whether every process is ready, as a computer sees it."""
     states = up.states(name)
-    assert set(states) == ALL
+    assert set(states) == (ALL if name == "operator" else ROBOT)
     return set(states.values()) == {"ready"}
 
 
@@ -60,21 +94,40 @@ def connections(instance: Instance) -> set[str]:
     return {address for address in found if not address.startswith("127.")}
 
 
-def test_one_command_brings_up_both_networks_and_every_host_sees_all(up: Hosts) -> None:
+def test_the_operators_side_sees_the_robots_through_the_link_with_its_age(up: Hosts) -> None:
     for name in up.network.addresses:
         wait_until(partial(healthy, up, name), 60.0, f"all is ready as {name} sees it")
-    rows = {row["name"]: row["processes"] for row in up.status("operator")["hosts"]}
-    assert (rows["perception"], rows["operator"]) == (["footstep_converter", "link_robot"], ["link_operator"])
-    said = up.valorctl("motion", "doctor")
-    assert "perception: link_robot: the other end is heard" in said
-    assert "operator: link_operator: the other end is heard" in said
+    began = time.monotonic()
+    seen = up.status("operator")
+    assert 0.0 < seen["beyond_age_s"] < time.monotonic() - began
+    there = {row["name"]: row["pid"] for row in up.status("motion")["services"]}
+    here = {row["name"]: row["pid"] for row in seen["services"]}
+    assert {name: here[name] for name in ROBOT - {"bifrostd"}} == {name: there[name] for name in ROBOT - {"bifrostd"}}
+    rows = {row["name"]: (row["processes"], row["problem"]) for row in seen["hosts"]}
+    assert rows["perception"] == (["footstep_converter", "link_robot"], "")
+    assert "robot's side: through the link, at most" in up.valorctl("operator", "status")
+
+
+def test_its_processes_are_started_anew_and_their_logs_read_through_the_link(up: Hosts) -> None:
+    pids = {row["name"]: row["pid"] for row in up.status("motion")["services"]}
+    told = up.valorctl("operator", "restart", "footstep_converter")
+    said = re.search(r"footstep_converter restarted: pid (\d+) → (\d+)", told)
+    assert said and int(said[1]) == pids["footstep_converter"]
+    anew = {row["name"]: row["pid"] for row in up.status("motion")["services"]}
+    assert anew == pids | {"footstep_converter": int(said[2])}
+    log = up.valorctl("operator", "logs", "footstep_converter", "-n", "3")
+    assert log.splitlines() == up.valorctl("perception", "logs", "footstep_converter", "-n", "3").splitlines()
+    assert "motion or perception can" in up.valorctl("operator", "logs", "footstep_converter", "-f", expect=1)
+    up.valorctl("operator", "restart", "link_robot")
+    wait_until(lambda: up.states("operator")["link_robot"] == "ready", 60.0, "the link has begun anew")
+    assert {row["name"]: row["pid"] for row in up.status("motion")["services"]}["link_robot"] != pids["link_robot"]
 
 
 def test_nothing_but_the_link_is_between_the_networks(up: Hosts) -> None:
     made = {name: Instance("trio", up.home(name)) for name in up.network.addresses}
     settings = {name: each.settings() for name, each in made.items()}
     domains = {name: each.ros_domain_id for name, each in settings.items()}
-    assert domains["motion"] == domains["perception"] != domains["operator"] == settings["motion"].link.domain
+    assert domains["motion"] == domains["perception"] != domains["operator"] == settings["operator"].link.domain
     assert settings["operator"].peers == ()
     assert settings["motion"].peers == (up.network.addresses["perception"],)
     known = {
@@ -87,6 +140,10 @@ def test_nothing_but_the_link_is_between_the_networks(up: Hosts) -> None:
     addresses = up.network.addresses
     assert addresses["perception"] in reached["motion"], "none of Bifrost's own connections is seen"
     assert reached["operator"] <= {addresses["operator"]}, "somebody speaks past the link"
+    agents = {name: up.home(name) / ".hosts/trio/network.json" for name in up.network.addresses}
+    rows = {name: json.loads(file.read_text())["computers"] for name, file in agents.items()}
+    dialed = {name: [each["name"] for each in computers] for name, computers in rows.items()}
+    assert dialed == known, "an agent knows hosts beyond the link"
 
 
 def test_a_cut_is_named_and_heals(up: Hosts) -> None:
@@ -96,17 +153,18 @@ def test_a_cut_is_named_and_heals(up: Hosts) -> None:
         row = next(row for row in up.status("perception")["services"] if row["name"] == "link_robot")
         assert row["detail"] == "the other end of the link is not heard"
         assert up.states("perception")["footstep_converter"] == "ready"
+        pid = row["pid"]
+        assert "not acknowledged" in up.valorctl("operator", "restart", "link_robot", expect=1)
+        assert "not acknowledged" in up.status("operator")["hosts"][0]["problem"]
     finally:
         up.network.plug("operator")
     wait_until(lambda: healthy(up, "perception"), 60.0, "the ends hear each other again")
-    pids = {row["name"]: row["pid"] for row in up.status("motion")["services"]}
-    up.valorctl("motion", "restart", "link_operator")
-    wait_until(lambda: healthy(up, "operator"), 60.0, "a new end is heard")
-    anew = {row["name"]: row["pid"] for row in up.status("operator")["services"]}
-    assert {name for name in ALL if anew[name] != pids[name]} == {"bifrostd", "link_operator"}, "its own, and theirs"
+    wait_until(lambda: healthy(up, "operator"), 60.0, "they do")
+    assert {row["name"]: row["pid"] for row in up.status("motion")["services"]}["link_robot"] == pid, "it was done late"
 
 
-def test_down_ends_both_networks(up: Hosts) -> None:
-    up.valorctl("operator", "down")
-    for name in up.network.addresses:
-        assert not leftovers.processes_of(Instance("trio", up.home(name)))
+def test_down_ends_both_networks_the_robots_first(up: Hosts) -> None:
+    said = up.valorctl("operator", "down")
+    assert said.index("ended: footstep_converter") < said.index("instance 'trio' is down on operator")
+    wait_until(lambda: not any(map(up.left, up.network.addresses)), 30.0, "nothing is left on any")
+    assert "was not up" in up.valorctl("operator", "down", "--deployment", str(up.file))

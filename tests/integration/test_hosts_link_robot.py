@@ -14,8 +14,6 @@ import pytest
 from harness.computers import ComputersError
 from harness.hosts import Hosts, deployment_text, hosts
 from harness.waiting import wait_until
-from valor.common.instance import Instance
-from valor.valorctl import leftovers
 
 pytestmark = pytest.mark.timeout(1200)
 HEALED = 120.0  # [s]
@@ -27,7 +25,8 @@ def robot() -> Iterator[Hosts]:
     with tempfile.TemporaryDirectory(prefix="vk-", ignore_cleanup_errors=True) as folder:
         try:
             with hosts(Path(folder), text, "trio", "motion", "perception", "operator") as made:
-                made.valorctl("operator", "up", "--deployment", str(made.file))
+                for side in ("motion", "operator"):
+                    made.valorctl(side, "up", "--deployment", str(made.file))
                 yield made
         except ComputersError as error:
             pytest.skip(str(error))
@@ -48,6 +47,7 @@ def shown(robot: Hosts) -> dict[str, Any]:
 
 def test_it_reaches_and_the_operator_sees_what_is(robot: Hosts) -> None:
     wait_until(lambda: robot.status("operator")["ready"], HEALED, "every process is ready", 0.5)
+    assert robot.status("operator")["behavior"] == "stand"
     robot.valorctl("operator", "mode", "stand_manipulate")
     assert true(robot)["behavior"] == "stand_manipulate"
     wait_until(lambda: shown(robot)["control_mode"] == "stand_manipulate", 60.0, "it is shown")
@@ -74,5 +74,4 @@ def test_its_operator_stops_it_and_nothing_is_left_of_it(robot: Hosts) -> None:
     assert "stopped after" in said and "through the link" in said
     assert true(robot)["behavior"] == "soft_stop"
     robot.valorctl("operator", "down")
-    for name in robot.network.addresses:
-        assert not leftovers.processes_of(Instance("trio", robot.home(name)))
+    wait_until(lambda: not any(map(robot.left, robot.network.addresses)), 30.0, "nothing is left on any")

@@ -9,7 +9,6 @@ import pytest
 from valor.common.errors import ConfigurationError
 from valor.common.processes import DAEMON
 from valor.common.resources import deployments
-from valor.valorctl.hosts.apart import completed
 from valor.valorctl.hosts.deployment import Deployment, deployment_file
 
 GOOD = """\
@@ -95,11 +94,12 @@ link:
 def test_a_link_has_two_networks(tmp_path: Path) -> None:
     found = load(tmp_path, LINKED)
     assert [(host.name, host.operator) for host in found.table("motion")] == [("motion", False), ("desk", True)]
-    link = completed(found.link_settings, 17, 18)
-    assert (link.listen, link.robot, link.slow, link.fast, link.domain) == ("10.0.0.1", "10.9.0.2", 9000, 9001, 18)
+    link = found.link_settings
+    assert (link.listen, link.port, link.robot, link.slow, link.fast) == ("10.0.0.1", 7312, "10.9.0.2", 9000, 9001)
+    assert (found.beside("motion"), found.beside("desk")) == (("motion",), ("desk",))
     direct = load(tmp_path, LINKED.replace("through: 10.9.0.2:9000", "address: 10.9.0.1"))
-    link = completed(direct.link_settings, 17, 18)
-    assert (link.listen, link.robot, link.slow, link.fast) == ("10.9.0.1", "10.9.0.1", 8434, 8435)
+    link = direct.link_settings
+    assert (link.listen, link.robot, link.slow, link.fast) == ("10.9.0.1", "10.9.0.1", 7312, 7313)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
-from valor.common.processes import DAEMON, EXIT_CONFIGURATION, PROCESSES, Process
+from valor.common.processes import DAEMON, EXIT_CONFIGURATION, PROCESSES, SUPERVISED, Process
 from valor.robot.description import RobotDescription
 from valor.valorctl import instance_setup, supervisor_config
 from valor.valorctl.instance_setup import Request
@@ -54,8 +54,8 @@ def test_processes_get_one_thread_each_and_the_instance(tmp_path: Path) -> None:
     made = supervisor_config.environment(instance, "/usr/bin/python3", {"KEPT": "1", "ROS_DOMAIN_ID": "0"})
     assert made["KEPT"] == made["OPENBLAS_NUM_THREADS"] == made["OMP_NUM_THREADS"] == "1"
     assert (made["ROS_DOMAIN_ID"], made["VALOR_INSTANCE"], made["VALOR_HOME"]) == ("7", "x", str(tmp_path))
-    assert supervisor_config.MARKER in made
-    assert supervisor_config.MARKER not in instance.environment()
+    assert SUPERVISED in made
+    assert SUPERVISED not in instance.environment()
 
 
 def test_a_home_too_long_for_a_socket_is_refused_before_anything_happens(tmp_path: Path) -> None:

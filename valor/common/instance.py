@@ -91,6 +91,7 @@ class Link(Table):
     when_lost: WhenLost = "go_on"  # what the robot does when the operator's end is not heard
     lost_after: Annotated[float, Meta(gt=0.0)] = 10.0  # [s]
     listen: str = "127.0.0.1"  # where the robot's end listens
+    port: Annotated[int, Meta(ge=0, lt=65535)] = 0  # UDP, of its slow channel; 0: as the instance's block has it
     robot: str = "127.0.0.1"  # by which address the operator's end reaches it
     # UDP ports by which the operator's end reaches the robot's; 0: the robot end's own.
     slow: Annotated[int, Meta(ge=0, le=65535)] = 0
@@ -137,15 +138,15 @@ class Settings(Table, kw_only=True):
         """The number of the ports that are this instance's alone."""
         return self.port_block or self.ros_domain_id
 
+    @property
+    def near(self) -> tuple[str, ...]:
+        """Processes of the hosts that this computer's network has, besides bifrostd."""
+        return tuple(name for each in self.beside(self.here) for name in each.processes)
+
     def beside(self, host: str) -> tuple[Host, ...]:
         """The hosts of a host's network, itself included: where there is a link, the robot's or the operator's."""
         operator = any(each.operator for each in self.hosts if each.name == host)
         return tuple(each for each in self.hosts if each.operator == operator)
-
-    def processes_beyond(self, host: str) -> tuple[str, ...]:
-        """Processes of which a host hears nothing, for the link is between them."""
-        near = {each.name for each in self.beside(host)}
-        return tuple(name for each in self.hosts if each.name not in near for name in each.processes)
 
     def processes_here(self, processes: Sequence[str]) -> tuple[str, ...]:
         """Of all processes of the instance, those that run on this computer."""
@@ -211,6 +212,11 @@ class Instance:
     def keys(self) -> Path:
         """The folder of the Bifrost keys that all members share, mode 0700 (``BIFROST_KEYS``)."""
         return self.folder / "keys"
+
+    @property
+    def link_key(self) -> Path:
+        """Where the ends of its link are on several computers: the secret that both have, mode 0600."""
+        return self.keys / "link.key"
 
     @property
     def owners(self) -> Path:

@@ -16,7 +16,8 @@ def ports(block: int) -> tuple[int, int]:
 
 def robot_ports(settings: Settings) -> tuple[int, int]:
     """Where the robot's end listens: as settings on its side have it."""
-    return ports(settings.block)
+    port = settings.link.port
+    return (port, port + 1) if port else ports(settings.block)
 
 
 def ports_to_robot(settings: Settings) -> tuple[int, int]:
@@ -37,6 +38,12 @@ def robots_hosts(settings: Settings) -> tuple[str, ...]:
     return (
         tuple(host.name for host in settings.hosts if not host.operator) if here is not None and here.operator else ()
     )
+
+
+def beyond(settings: Settings, process: str) -> bool:
+    """Whether a process runs on the robot's side of the link, and this computer is on the operator's."""
+    robots = robots_hosts(settings)
+    return any(process in each.processes for each in settings.hosts if each.name in robots)
 
 
 def parsed(text: str | None, when_lost: WhenLost) -> Link:

@@ -18,6 +18,7 @@ OPERATOR_STOP = "operator_stop"
 VIEW = "--view"
 LINK = "--link"
 CAMERA = "--camera"
+SUPERVISED = "VALOR_SUPERVISED"  # in the environment of supervisord, and so of all that it starts
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not start the process again
 
 Cores = Literal["own", "others", "any"]

@@ -145,6 +145,7 @@ PUSH          = ServiceTopic("simulation/push",              m.PushRequest,     
 SIMULATED_TIME = ServiceTopic("simulation/time",             m.TimeRequest,         m.TimeReply,         _COMMS,  "pause, step, slow down; simulation without devices only")
 FAULT         = ServiceTopic("simulation/fault",             m.FaultRequest,        m.FaultReply,        _EMULATORS, "let an emulated device fail; hardware without a robot only")
 SNAP          = ServiceTopic("bag_recorder/snap",            m.SnapRequest,         m.SnapReply,         _RECORDER, "save the last seconds that the recorder holds")
+BEYOND        = ServiceTopic("link_operator/beyond",         m.BeyondRequest,       m.BeyondReply,       "link_operator", "do a verb of valorctl on the robot's side of the link, or say how one fares")
 MARK          = ServiceTopic("bag_recorder/mark",            m.MarkRequest,         m.MarkReply,         _RECORDER, "note a moment in the recording, with a text")
 # fmt: on
 

@@ -20,6 +20,7 @@ class Kind(IntEnum):
     ACKNOWLEDGEMENT = 5
     STATE = 6
     PROGRESS = 7
+    REPORT = 8
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ CLASSES: tuple[Class, ...] = (
     Class(Kind.STATE,           "the robot's state",                     False,    newest=True),
     Class(Kind.PROGRESS,        "how plans and hands' goals fare",       True,     again=1.5,    newest=True),
     Class(Kind.EVENT,           "refusals, faults, in words",            True,     again=3.0),
+    Class(Kind.REPORT,          "what was said to a verb of valorctl",   True,     again=3.0),
 )
 # fmt: on
 BY_KIND = {each.kind: each for each in CLASSES}

@@ -23,7 +23,7 @@ _Flight = tuple[float, int, socket.socket, tuple[str, int], bytes]
 
 
 class Emulator:
-    """Carries datagrams between ports of this computer, in a thread of its own.
+    """Carries datagrams between the two ends, in a thread of its own.
 
     Attributes:
         listening: port where the operator's end finds the slow channel; the fast one is the next.
@@ -41,6 +41,8 @@ class Emulator:
         windows: Windows = (),
         seed: int = 0,
         listen: int = 0,
+        here: str = HOST,
+        robot: str = HOST,
     ) -> None:
         """Begin.
 
@@ -51,10 +53,12 @@ class Emulator:
             windows: when the fast one is there, from now on [s].
             seed: of all that is random.
             listen: port of the slow channel; 0: any that is free, and the next one, too.
+            here: address of this computer where the operator's end finds it.
+            robot: address of the robot's end.
         """
-        self.to = to
-        self._doors = _doors(listen)
-        self._backs = [_door(0) for _ in to]
+        self.to, self._robot = to, robot
+        self._doors = _doors(here, listen)
+        self._backs = [_door(HOST if robot == HOST else "", 0) for _ in to]
         self.listening = int(self._doors[0].getsockname()[1])
         shared = Bandwidth(slow)
         self.lines = [
@@ -93,7 +97,7 @@ class Emulator:
             return
         if to_robot:
             self._callers[channel] = address
-            door, there = self._backs[channel], (HOST, self.to[channel])
+            door, there = self._backs[channel], (self._robot, self.to[channel])
         elif channel in self._callers:
             door, there = self._doors[channel], self._callers[channel]
         else:
@@ -109,12 +113,12 @@ class Emulator:
             each.close()
 
 
-def _doors(port: int) -> list[socket.socket]:
+def _doors(address: str, port: int) -> list[socket.socket]:
     """Two with neighbouring ports."""
     for _ in range(50):
-        first = _door(port)
+        first = _door(address, port)
         try:
-            return [first, _door(first.getsockname()[1] + 1)]
+            return [first, _door(address, first.getsockname()[1] + 1)]
         except OSError:
             first.close()
             if port:
@@ -122,26 +126,34 @@ def _doors(port: int) -> list[socket.socket]:
     raise OSError("no two free ports side by side")
 
 
-def _door(port: int) -> socket.socket:
+def _door(address: str, port: int) -> socket.socket:
     door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     door.setblocking(False)
-    door.bind((HOST, port))
+    door.bind((address, port))
     return door
+
+
+def _place(text: str) -> tuple[str, int]:
+    address, _, port = text.rpartition(":")
+    return address or HOST, int(port)
 
 
 def main() -> None:
     """Until interrupted."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--listen", type=int, required=True, help="the operator's end sends here, and to the next one")
-    parser.add_argument("--to", type=int, required=True, help="the robot's end listens here, and on the next one")
+    for option, which in (("--listen", "the operator's end sends here"), ("--to", "the robot's end listens here")):
+        parser.add_argument(
+            option, type=_place, required=True, metavar="[ADDRESS:]PORT", help=f"{which}, and one higher"
+        )
     parser.add_argument("--seed", type=int, help="of what is random, and of blackouts in place of DARPA's example")
     for name in ("bandwidth", "delay", "jitter", "loss", "duplication", "reordering"):
         default = getattr(DRC_SLOW, name)
         parser.add_argument(f"--{name}", type=float, default=default, help=f"of the slow channel [{default}]")
     asked = vars(parser.parse_args())
-    listen, to, seed = asked.pop("listen"), asked.pop("to"), asked.pop("seed")
+    (here, listen), (robot, to), seed = asked.pop("listen"), asked.pop("to"), asked.pop("seed")
     windows = drc_windows() if seed is None else random_windows(seed, 24 * 3600.0)
-    emulator = Emulator((to, to + 1), Conditions(**asked), DRC_FAST, windows=windows, seed=seed or 0, listen=listen)
+    places = {"listen": listen, "here": here, "robot": robot}
+    emulator = Emulator((to, to + 1), Conditions(**asked), DRC_FAST, windows=windows, seed=seed or 0, **places)
     try:
         while True:
             time.sleep(1.0)

@@ -17,11 +17,16 @@ def session(instance: Instance, name: str, robot: RobotDescription) -> Session:
     Raises:
         ConfigurationError: the instance's network has no keys of both ends.
     """
+    secret = instance.link_key.read_bytes() if instance.link_key.exists() else _of_processes(instance, name)
+    print_ = fingerprint(repr(FIELDS).encode(), robot.file.read_bytes(), robot.model_file.read_bytes())
+    return Session(secret, name == NAMES[0], print_)
+
+
+def _of_processes(instance: Instance, name: str) -> bytes:
+    """What follows from the Bifrost keys of both ends, which one computer has issued."""
     network = membership.network(instance, name)
     other = NAMES[1 - NAMES.index(name)]
     public = network.grants.owners.get(other)
     if public is None or network.own is None:
         raise ConfigurationError(f"{instance.network_file}: no key of {other}; `valorctl up --link DOMAIN` issues it")
-    secret = shared_secret(network.own.secret, public.encode())
-    print_ = fingerprint(repr(FIELDS).encode(), robot.file.read_bytes(), robot.model_file.read_bytes())
-    return Session(secret, name == NAMES[0], print_)
+    return shared_secret(network.own.secret, public.encode())

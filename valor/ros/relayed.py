@@ -77,6 +77,8 @@ class Word(IntEnum):
     STEPS = 7  # from it: 0, the steps of the plan that runs
     PROGRESS = 8  # from it: id of the plan's goal, 0 of another's; how it fares
     HAND = 9  # from it: place in HANDS, how its goal fares
+    VERB = 10  # to the robot: 0, a verb of valorctl with its arguments (valor/link/verbs.py)
+    SAID = 11  # from it: id of the verb, what was said to it
 
 
 def kind_of(command: Command, message: Any) -> Kind:

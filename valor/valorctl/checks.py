@@ -21,7 +21,7 @@ import psutil
 import bifrost
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.linking import NAMES, ports_to_robot
+from valor.common.linking import NAMES, behind, ports_to_robot
 from valor.common.priority import granted, own_core
 from valor.common.processes import PROCESSES
 from valor.common.resources import IN_CHECKOUT, REPAIR
@@ -286,7 +286,9 @@ def _link(instance: Instance) -> Finding:
         slow, fast = ports_to_robot(settings)
         advice = f"UDP, ports {slow} and {fast} of {settings.link.robot}, must lead to the robot's end"
         return Finding("link", "warn", "; ".join(wrong), advice)
-    told = f"{' and '.join(names)}: the other end is heard; the operator's ROS domain is {settings.link.domain}"
+    told = f"{' and '.join(names)}: the other end is heard"
+    if behind(settings):
+        told += f"; the operator's ROS domain is {settings.link.domain}"
     return Finding("link", "ok", told)
 
 

@@ -106,10 +106,7 @@ class Listener:
 
     Attributes:
         words: the newest of each process.
-        beyond: processes whose messages do not come here.
     """
-
-    beyond: frozenset[str] = frozenset()
 
     def __init__(self, instance: Instance, names: Iterable[str]) -> None:
         """Raise ``bifrost.ConfigurationError`` when the network or the keys are not readable."""

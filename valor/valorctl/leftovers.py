@@ -20,6 +20,7 @@ import psutil
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.common.processes import SUPERVISED
 from valor.valorctl import supervisor_config
 
 _SHARED_MEMORY = re.compile(r"/dev/shm/\S*(?:fastrtps|fastdds)\S*")
@@ -41,7 +42,7 @@ def supervised_processes(instance: Instance | None = None) -> list[Supervised]:
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
             environment = process.environ()
-            if supervisor_config.MARKER in environment and process.status() != psutil.STATUS_ZOMBIE:
+            if SUPERVISED in environment and process.status() != psutil.STATUS_ZOMBIE:
                 found.append(
                     Supervised(
                         process,

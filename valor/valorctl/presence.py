@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.linking import robots_hosts
 from valor.common.processes import BY_NAME
-from valor.valorctl.health import Listener
 from valor.valorctl.supervision import ProcessInfo, ProcessState, Supervising, Supervisor
 
 
@@ -38,19 +36,6 @@ def supervising(instance: Instance, settings: Settings) -> Supervising:
     from valor.valorctl.hosts.fleet import Fleet
 
     return Fleet(instance, settings)
-
-
-def listening(instance: Instance, settings: Settings, names: Iterable[str]) -> Listener:
-    """Who hears what processes of an instance that is up say of themselves, beyond a link, too.
-
-    Raises:
-        ConfigurationError: as ``Listener``, or as ``supervising``.
-    """
-    if not settings.processes_beyond(settings.here):
-        return Listener(instance, names)
-    from valor.valorctl.hosts.words import FarListener
-
-    return FarListener(instance, settings, names)
 
 
 def require_running(*, through_link: bool = False) -> Instance:

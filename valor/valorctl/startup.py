@@ -239,7 +239,7 @@ def restart(instance: Instance, name: str, progress: Progress, interruption: Int
         before = infos[name].pid
         progress.waiting(f"stopping {name}")
         supervisor.stop([name], BY_NAME[name].stop_timeout + shutdown.MARGIN)
-        with presence.listening(instance, instance.settings(), [name]) as listener:
+        with Listener(instance, [name]) as listener:
             start(supervisor, listener, [BY_NAME[name]], progress=progress, interruption=interruption)
         after = supervisor.processes()[name].pid
     progress.done(f"{name} restarted: pid {before or '–'} → {after}")

@@ -47,6 +47,7 @@ class Status:
     condition: Condition | None = None
     hosts: Sequence[HostState] = ()  # none: all is on this computer
     supervised: bool = True  # whether supervisord answers, which restarts what ends
+    beyond_age: float | None = None  # at most, of what the link told of the robot's side [s]; None: nothing
 
     @property
     def ready(self) -> bool:
@@ -95,6 +96,7 @@ class Status:
             "way_out": self.way_out,
             "bag": condition and condition.bag and str(condition.bag),
             "control_mode": self.control_mode,
+            "beyond_age_s": self.beyond_age,
             "clock": {
                 "mode": clock.mode if clock else self.settings.clock,
                 "time_s": clock.time * 1e-9 if clock else None,

@@ -24,7 +24,10 @@ def view(status: Status) -> Group:
     """One look at an instance."""
     recording = [Text(status.recording.line())] if status.recording else []
     commands = [Text(refusal, WAITING)] if (refusal := status.settings.ros_refusal) else []
-    return Group(*_heading(status), *commands, *_robot(status), _services(status), *_hosts(status), *recording)
+    shown = Group(*_heading(status), *commands, *_robot(status), _services(status), *_hosts(status), *recording)
+    if status.beyond_age is not None:
+        shown.renderables.append(Text(f"robot's side: through the link, at most {status.beyond_age:.1f} s ago"))
+    return shown
 
 
 def show(look: Callable[[], Status], period: float) -> NoReturn:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance
-from valor.common.processes import EXIT_CONFIGURATION, Process
+from valor.common.processes import EXIT_CONFIGURATION, SUPERVISED, Process
 
-MARKER = "VALOR_SUPERVISED"
 """In the environment of supervisord and all its descendants, and of nobody who merely joined the instance."""
 
 PYTHON = "VALOR_PYTHON"
@@ -83,7 +82,7 @@ def environment(instance: Instance, python: str, inherited: Mapping[str, str]) -
         dict(inherited)
         | instance.environment()
         | {
-            MARKER: "1",
+            SUPERVISED: "1",
             PYTHON: python,
             FOLDER: str(instance.folder),
             "BIFROST_OWNERS": str(instance.owners),

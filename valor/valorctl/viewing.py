@@ -16,7 +16,7 @@ from valor.common import whole_file
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.linking import behind
-from valor.common.processes import EXIT_CONFIGURATION, OPERATOR_STOP, PROCESSES, VIEW, Process
+from valor.common.processes import EXIT_CONFIGURATION, OPERATOR_STOP, PROCESSES, SUPERVISED, VIEW, Process
 from valor.common.table import plain
 from valor.common.viewing import LOOPBACK, Viewing, is_loopback, page_port, stop_port
 from valor.valorctl.presence import processes_found
@@ -193,7 +193,7 @@ def _environment(instance: Instance) -> dict[str, str]:
     from valor.valorctl import supervisor_config
 
     made = supervisor_config.environment(instance, sys.executable, os.environ)
-    del made[supervisor_config.MARKER]  # it is nobody's but the one who called it
+    del made[SUPERVISED]  # it is nobody's but the one who called it
     return made
 
 

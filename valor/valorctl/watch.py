@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Self
 
 import bifrost
 from valor.bags import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
+from valor.common.linking import robots_hosts
 from valor.common.messages import BehaviorChange, ClockStatus, ControlModeReport
 from valor.common.processes import BY_NAME, RECORDER
 from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, Topic
 from valor.valorctl.console import rich_console, say_json
-from valor.valorctl.health import SILENCE, judge
-from valor.valorctl.presence import listening, processes_found, supervising, unsupervised
+from valor.valorctl.health import SILENCE, Listener, judge
+from valor.valorctl.presence import processes_found, supervising, unsupervised
 from valor.valorctl.recording_report import Glance, glance
 from valor.valorctl.status import Condition, Status
 from valor.valorctl.supervision import ProcessInfo, SupervisorError
+
+if TYPE_CHECKING:
+    from valor.valorctl.hosts.beyond import Beyond
 
 UPTIME_STEP = 1.0  # supervisord counts whole seconds [s]
 
@@ -68,13 +73,20 @@ class Watch:
         infos, _ = self._processes()
         # The table's order, the order of start.
         self._names = [name for name in BY_NAME if name in infos]
-        self._listener = listening(instance, self._settings, self._names)
+        self._listener = Listener(instance, self._names)
         self._reports = _Reports(self._listener.node)
+        self._beyond: Beyond | None = None
+        if robots_hosts(self._settings):
+            from valor.valorctl.hosts.beyond import Beyond
+
+            self._beyond = Beyond(instance, self._settings)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        if self._beyond is not None:
+            self._beyond.close()
         self._listener.close()
         self._supervisor.close()
 
@@ -94,7 +106,7 @@ class Watch:
             words = listener.words
             mute = {n for n, info in infos.items() if info.pid and (n not in words or words[n].pid != info.pid)}
             ready = {n for n, info in infos.items() if info.pid and n not in mute and words[n].state == "ready"}
-            awaited = listener.may_speak(mute) | reports.awaited(ready - listener.beyond)
+            awaited = listener.may_speak(mute) | reports.awaited(ready)
             if not awaited or time.monotonic() > deadline:
                 break
             listener.listen(0.05, reports.subscribers)
@@ -102,7 +114,7 @@ class Watch:
         restarts = self._supervisor.restarts()
         mode, clock = reports.control_mode, reports.clock
         change = self._change(infos.get(BEHAVIOR_CHANGE.owner), now)
-        return Status(
+        seen = Status(
             instance=self._instance.name,
             settings=self._settings,
             behavior=change.message.behavior if change else None,
@@ -117,6 +129,27 @@ class Watch:
             hosts=self._supervisor.hosts(),
             condition=self._condition(change) if change else None,
             supervised=supervised,
+        )
+        return seen if self._beyond is None else self._with_robot(seen, self._beyond)
+
+    def _with_robot(self, seen: Status, beyond: Beyond) -> Status:
+        """With what the robot's side of the link tells of itself."""
+        from valor.valorctl.hosts.beyond import BeyondError, fares
+
+        told, age, problem = None, None, ""
+        try:
+            told, age = beyond.status()
+        except BeyondError as error:
+            problem = str(error)
+        services, hosts = fares(self._settings, told, problem)
+        order = list(BY_NAME)
+        return replace(
+            seen,
+            behavior=told.behavior if told else None,
+            control_mode=told.control_mode if told else None,
+            services=sorted([*seen.services, *services], key=lambda each: order.index(each.name)),
+            hosts=[*hosts, *seen.hosts],
+            beyond_age=age,
         )
 
     def _recording(self) -> Glance | None:

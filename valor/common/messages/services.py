@@ -79,3 +79,20 @@ class MarkReply(Message):
     accepted: bool
     stamp: int  # of the recorder's wall clock [ns]
     reason: str
+
+
+class BeyondRequest(Message):
+    """Have the robot's side of the link do a verb of valorctl; or ask how one fares."""
+
+    words: list[str]  # the verb and its arguments; none: how does ``number`` fare
+    number: int
+
+
+class BeyondReply(Message):
+    """How a verb fares on the robot's side of the link."""
+
+    number: int  # by which it is asked for
+    state: str  # on its way, begun, ended, lost
+    status: int  # its exit status, once it has ended
+    said: str  # by it; or why nobody knows what becomes of it
+    silent: float  # how long nothing of the robot's end has come [s]

@@ -6,12 +6,13 @@ It holds nothing itself: what it starts is supervisord's, and goes on while it i
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -20,9 +21,11 @@ import bifrost
 from bifrost.network import copy_for, own_key_file, write_private
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings
+from valor.common.linking import NAMES
 from valor.common.processes import DAEMON, RECORDER
 from valor.common.resources import robot_folder
 from valor.common.table import checked, plain
+from valor.link.session import shared_secret
 from valor.valorctl import instance_setup, leftovers, ros_domain, shutdown, startup
 from valor.valorctl.hosts import resuming
 from valor.valorctl.hosts.channel import Desk, HostError, Switchboard
@@ -39,7 +42,7 @@ class Order(msgspec.Struct):
 
     Attributes:
         settings: of the instance, as plain values; the robot as it is called on every host.
-        domain: of ROS in its network, free on all hosts there.
+        domain: of ROS, free on all hosts.
         network: the network file.
         keys: common and own ones, by the names of their files in the instance's folder.
     """
@@ -91,7 +94,7 @@ class Agent:
         verbs = (
             self.hello, self.word, self.run_of, self.others, self.versions, self.free_domains, self.make,
             self.processes, self.start, self.stop, self.restarts, self.last_end, self.log_tail, self.down,
-            self.findings, self.log_lines, self.words,
+            self.findings, self.log_lines,
         )  # fmt: skip
         return {verb.__name__: verb for verb in verbs}
 
@@ -163,12 +166,6 @@ class Agent:
 
         return [asdict(finding) for finding in run_all(self._instance(instance))]
 
-    def words(self, instance: str, names: list[str]) -> dict[str, dict[str, Any]]:
-        """What processes here have said of themselves, and how long ago."""
-        from valor.valorctl.hosts.words import words_here
-
-        return words_here(self._instance(instance), names)
-
     def log_lines(self, instance: str, **wanted: Any) -> list[tuple[float, str, str, str, bool]]:
         """What the processes here have printed."""
         from valor.valorctl.hosts.logs import lines_here
@@ -226,9 +223,20 @@ class Agent:
         with ros_domain.reserve_for(instance, told.domain) as reservation:
             if reservation.domain != told.domain:
                 raise ValorError(f"ROS domain {told.domain} is in use on {row.name}")
-            instance_setup.make(instance, wanted, told.domain, told.domain, lambda made: _bring(made, told))
+            instance_setup.make(instance, wanted, told.domain, told.domain, partial(self._bring, wanted, told))
             supervisor = resuming.launch(instance, instance.settings(), reservation.fileno())
         _await_daemon(instance, supervisor)
+
+    def _bring(self, settings: Settings, told: Order, instance: Instance) -> None:
+        """Put network and keys into the instance's folder."""
+        _bring(instance, told)
+        homes = {process: host.name for host in settings.hosts for process in host.processes}
+        for name, other in (NAMES, NAMES[::-1]):
+            if homes.get(name) == self._here.name and self._network.own is not None:
+                public = self._network.grants.owners[homes[other]]
+                shared = shared_secret(self._network.own.secret, public.encode())
+                secret = hashlib.blake2b(instance.name.encode(), key=shared, digest_size=32).digest()
+                write_private(instance.link_key, secret)
 
     def _watch(self) -> None:
         """Remember the last word of every other host."""
@@ -237,22 +245,11 @@ class Agent:
             home = self._instance("default").folder.parent
             interrupted = list(resuming.interrupted(home, self._deployment))  # when this computer went down
             while not self._closing.wait(LOOK):
-                near = {name: dict[str, Any]() for name in others if name not in self._beyond(home)}
-                for name, word in switchboard.ask("word", near, check=self._check).items():
+                asked = {name: dict[str, Any]() for name in others}
+                for name, word in switchboard.ask("word", asked, check=self._check).items():
                     if not isinstance(word, HostError):
                         self._words[name] = {"word": word, "heard": time.monotonic()}
                 interrupted = [each for each in interrupted if not self._resumed(each, switchboard, others)]
-
-    def _beyond(self, home: Path) -> set[str]:
-        """Hosts beyond the link of an instance that is up here: nothing but the link is to speak with them."""
-        found: set[str] = set()
-        for file in home.glob("*/instance.json"):
-            with contextlib.suppress(ValorError):
-                settings = self._instance(file.parent.name).settings()
-                if settings.deployment == self._deployment:
-                    near = {host.name for host in settings.beside(self._here.name)}
-                    found.update(host.name for host in settings.hosts if host.name not in near)
-        return found
 
     def _resumed(self, instance: Instance, switchboard: Switchboard, others: list[str]) -> bool:
         """Take up what goes on elsewhere; False: nobody has said yet whether it does, or it does not start yet."""
@@ -278,20 +275,19 @@ class Agent:
 
 
 def order(instance: Instance, settings: Settings, domain: int, host: str) -> Order:
-    """What a host is told, by the files that were made for all.
+    """What a host is told, by the files that were made for all of its network.
 
     Args:
-        instance: whose folder has network and keys of all hosts.
+        instance: whose folder has network and keys of all these hosts.
         settings: of the instance.
-        domain: of ROS in the host's network.
+        domain: of ROS.
         host: who is told.
     """
     row = next(each for each in settings.hosts if each.name == host)
     files = [instance.keys / name for name in ("server.key", "client.key")]
     files += [own_key_file(instance.owners, owner) for owner in (DAEMON, "valorctl", *row.processes)]
     keys = {str(file.relative_to(instance.folder)): file.read_bytes() for file in files if file.exists()}
-    among = [each.name for each in settings.beside(host)]
-    network = copy_for(instance.network_file.read_bytes(), host, among)
+    network = copy_for(instance.network_file.read_bytes(), host)
     return Order(plain(settings), domain, network, keys)
 
 

@@ -6,17 +6,17 @@ import ipaddress
 from collections.abc import Mapping
 from typing import Annotated, Protocol
 
-import msgspec
 from msgspec import Meta
 
 from valor.common.errors import expected
 from valor.common.instance import Link, WhenLost
-from valor.common.linking import NAMES, ports
+from valor.common.linking import NAMES
 from valor.common.table import Positive, Table, TableError
 from valor.valorctl.ros_domain import DOMAINS
 
 OPERATORS = ("link_operator", "operator_station", "foxglove_bridge")
 """What can run in the operator's network: all else is part of the robot, or speaks Bifrost with it."""
+LINK_PORT = 7312  # behind the agents'
 
 
 class LinkRow(Table, kw_only=True):
@@ -28,6 +28,8 @@ class LinkRow(Table, kw_only=True):
     through: str = ""  # ADDRESS:PORT of what stands between, UDP; the fast channel has the port after it
     when_lost: WhenLost = "go_on"
     lost_after: Positive = 10.0  # [s]
+    # UDP, of link_robot: the slow channel's; the fast one has the port after it.
+    port: Annotated[int, Meta(ge=1024, lt=65535)] = LINK_PORT
     picture: str = Link().picture  # the topic of the robot's view, sensor_msgs/CompressedImage
 
     def __post_init__(self) -> None:
@@ -40,23 +42,15 @@ class LinkRow(Table, kw_only=True):
                 raise TableError(("through",), f"got {self.through!r}; expected ADDRESS:PORT, 10.77.0.9:9000")
 
     def settings(self, robot: str) -> Link:
-        """As the settings of an instance have it, but for what ``completed`` adds; ``robot``: link_robot's host."""
+        """As the settings of an instance have it before its ROS domain is chosen; ``robot``: link_robot's host."""
         listen = self.address or robot
         address, _, port = self.through.rpartition(":")
-        slow = int(port) if port else 0
+        slow = int(port) if port else self.port
         return Link(
             domain=self.domain, when_lost=self.when_lost, lost_after=self.lost_after,
-            listen=listen, robot=address or listen, slow=slow, fast=slow and slow + 1,
+            listen=listen, port=self.port, robot=address or listen, slow=slow, fast=slow + 1,
             picture=self.picture,
         )  # fmt: skip
-
-
-def completed(link: Link, robot: int, operator: int | None) -> Link:
-    """With what follows from the ROS domains of both networks; without the operator's there is no link."""
-    if operator is None:
-        return link
-    slow, fast = (link.slow, link.fast) if link.slow else ports(robot)
-    return msgspec.structs.replace(link, domain=operator, slow=slow, fast=fast)
 
 
 class _Row(Protocol):

@@ -6,6 +6,7 @@ network's common keys and its own; whoever commands demands the key of the host 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import msgspec
@@ -36,7 +37,8 @@ class Credentials:
         """Of a deployment, by its name, under a home of instances (``VALOR_HOME``)."""
         self.name = name
         self.folder = home / _FOLDER / name
-        self.network_file = self.folder / "network.json"
+        self.network_file = self.folder / "network.json"  # of the hosts that the one which joined is to speak with
+        self._made = self.folder / "made.json"  # of all, where the keys were made
         self._keys, self._owners = self.folder / "keys", self.folder / "owners"
 
     @classmethod
@@ -50,16 +52,20 @@ class Credentials:
         Raises:
             ConfigurationError: those that there are belong to other hosts, or cannot be written.
         """
-        if self.network_file.exists():
-            self.require_same(deployment)
+        if self._made.exists():
+            self._require_same(self._made, deployment, deployment.hosts)
             return
         charter = bifrost.Charter(self._owners, publishers={}, servers={f"host/{n}": [n] for n in deployment.hosts})
         computers = [Computer(name, row.address, deployment.agent_port) for name, row in deployment.hosts.items()]
         with private_files():
-            bifrost.Network.create_for(computers, self.network_file, self._keys, charter)
+            bifrost.Network.create_for(computers, self._made, self._keys, charter)
 
-    def ticket(self, host: str) -> bytes:
+    def ticket(self, host: str, among: Collection[str]) -> bytes:
         """What brings a host all that it needs, and nothing of another host's own.
+
+        Args:
+            host: who is to join.
+            among: the hosts that it is to speak with, itself included.
 
         Raises:
             ConfigurationError: not all keys are here.
@@ -67,7 +73,7 @@ class Credentials:
         files = [self._keys / "server.key", self._keys / "client.key", own_key_file(self._owners, host)]
         try:
             content = {str(file.relative_to(self.folder)): file.read_bytes() for file in files}
-            content[self.network_file.name] = copy_for(self.network_file.read_bytes(), host)
+            content[self.network_file.name] = copy_for(self._made.read_bytes(), host, among)
         except OSError as error:
             text = f"{error.filename}: {error.strerror}; `host join` works where the deployment's keys were made"
             raise ConfigurationError(text) from None
@@ -80,39 +86,34 @@ class Credentials:
             ConfigurationError: it has not joined.
         """
         if not self.network_file.exists():
-            raise ConfigurationError(self._not_joined)
+            raise ConfigurationError(
+                f"this computer has not joined deployment {self.name!r} (nothing in {self.folder}); "
+                "`valorctl host join` shows, where its keys were made, the command that does"
+            )
         try:
             everybody = bifrost.Network.load(self.network_file, self._keys)
             own = own_key_file(self._owners, everybody.computer.name)
             return bifrost.Network.load(self.network_file, self._keys, own_key=own)
         except bifrost.ConfigurationError as error:
-            raise ConfigurationError(self._not_joined if "lists" in str(error) else str(error)) from None
-
-    @property
-    def _not_joined(self) -> str:
-        return (
-            f"this computer has not joined deployment {self.name!r} (nothing in {self.folder}); "
-            "`valorctl host join` shows, where its keys were made, the command that does"
-        )
+            raise ConfigurationError(str(error)) from None
 
     def require_same(self, deployment: Deployment) -> None:
-        """See that the keys are for the hosts of a deployment.
+        """See that the keys are for the hosts of a deployment, of which this computer is one.
 
         Raises:
-            ConfigurationError: names the hosts that differ.
+            ConfigurationError: names the hosts that differ; or it has not joined.
         """
-        made = bifrost.Network.load(self.network_file, self._keys, next(iter(self._names())))
-        before = {computer.name: (computer.host, computer.port) for computer in made.computers}
-        now = {name: (row.address, deployment.agent_port) for name, row in deployment.hosts.items()}
+        self._require_same(self.network_file, deployment, deployment.beside(self.network().computer.name))
+
+    def _require_same(self, file: Path, deployment: Deployment, hosts: Collection[str]) -> None:
+        content = msgspec.json.decode(file.read_bytes())
+        before = {each["name"]: (each["host"], each["port"]) for each in content["computers"]}
+        now = {name: (deployment.hosts[name].address, deployment.agent_port) for name in hosts}
         if differing := sorted({name for name in {*before, *now} if before.get(name) != now.get(name)}):
             raise ConfigurationError(
                 f"{self.folder}: its keys are for other hosts or addresses: {', '.join(differing)}; "
                 "remove that folder and join every host anew"
             )
-
-    def _names(self) -> list[str]:
-        content = msgspec.json.decode(self.network_file.read_bytes())
-        return [computer["name"] for computer in content["computers"]]
 
 
 def admit(file: Path, home: Path) -> Credentials:

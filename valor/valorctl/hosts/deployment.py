@@ -109,11 +109,15 @@ class Deployment(Table, kw_only=True):
 
     @property
     def link_settings(self) -> Link:
-        """Of the link, as the settings of an instance have it before its ROS domains are chosen."""
+        """Of the link, as the settings of an instance have it before its ROS domain is chosen."""
         if self.link is None:
             return Link()
         home = next(row for row in self.hosts.values() if NAMES[0] in row.processes)
         return self.link.settings(home.address)
+
+    def beside(self, host: str) -> tuple[str, ...]:
+        """The hosts of a host's network, itself included."""
+        return tuple(name for name in self.hosts if (name in self.operators) == (host in self.operators))
 
     def table(self, here: str, also: Iterable[str] = (), but: Iterable[str] = ()) -> tuple[Host, ...]:
         """Its hosts as the settings of an instance hold them.

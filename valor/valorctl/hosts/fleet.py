@@ -1,4 +1,4 @@
-"""The hosts of an instance that is up, together: their processes, and who of them is gone."""
+"""The hosts of an instance's network, together: their processes, and who of them is gone."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ class Fleet:
             ConfigurationError: this computer has not joined the deployment.
         """
         self._name = instance.name
-        self._hosts = {host.name: host for host in settings.hosts}
+        hosts = settings.beside(settings.here)
+        self._hosts = {host.name: host for host in hosts}
         self._here = settings.here
-        self._homes = {process: host.name for host in settings.hosts for process in host.processes}
+        self._homes = {process: host.name for host in hosts for process in host.processes}
         self._homes[DAEMON] = self._here
         self._answers: dict[str, Any] = {}
         self.switchboard = Switchboard(Credentials.of(instance, settings.deployment).network())

@@ -1,4 +1,4 @@
-"""``up`` and ``down`` of an instance on several hosts."""
+"""``up`` and ``down`` of an instance on several hosts: those of this computer's network, where there is a link."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from bifrost.network import Computer
 from valor.common import membership
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
+from valor.common.linking import robots_hosts
 from valor.common.processes import BY_NAME, DAEMON
 from valor.valorctl import instance_setup, ros_domain, shutdown, startup, viewing
 from valor.valorctl.console import Progress
+from valor.valorctl.health import Listener
 from valor.valorctl.hosts.agent import order
-from valor.valorctl.hosts.apart import completed
 from valor.valorctl.hosts.channel import HostError
 from valor.valorctl.hosts.credentials import Credentials
 from valor.valorctl.hosts.deployment import Deployment, deployment_file
 from valor.valorctl.hosts.fleet import Fleet, require
 from valor.valorctl.hosts.versions import Versions, differences, known_as
 from valor.valorctl.interruption import Interruption
-from valor.valorctl.presence import listening
 
 MAKING = 60.0  # a host's folder, supervisord and bifrostd [s]
 DOWN = max(process.stop_timeout for process in BY_NAME.values()) + shutdown.MARGIN + 10.0  # [s]
@@ -36,7 +36,7 @@ DOWN = max(process.stop_timeout for process in BY_NAME.values()) + shutdown.MARG
 def bring_up(
     instance: Instance, plan: instance_setup.Plan, here: str, progress: Progress, interruption: Interruption
 ) -> Settings:
-    """Bring an instance up on all hosts of its deployment.
+    """Bring an instance up on all hosts of this one's network.
 
     Args:
         instance: by name the same on all.
@@ -56,29 +56,30 @@ def bring_up(
     with Fleet(instance, wanted) as fleet:
         progress.waiting("asking the hosts")
         require_same(fleet, wanted)
-        domains = _common_domains(fleet, instance, wanted, plan.ros_domain)
+        domain = _common_domain(fleet, instance, wanted, plan.ros_domain)
         interruption.check()
-        link = completed(wanted.link, domains[False], domains.get(True))
-        orders = _orders(instance, msgspec.structs.replace(wanted, link=link), domains)
+        behind = bool(robots_hosts(wanted))
+        link = msgspec.structs.replace(wanted.link, domain=domain) if behind else wanted.link
+        orders = _orders(instance, msgspec.structs.replace(wanted, link=link), domain)
         progress.waiting("making the instance on every host")
         asked = {host: {"instance": instance.name, "order": told} for host, told in orders.items()}
         made = fleet.switchboard.ask("make", asked, timeout=MAKING)
         with _or_down(fleet, [name for name, answer in made.items() if not isinstance(answer, HostError)], progress):
             require(made)
-            names = ", ".join(host.name for host in wanted.hosts)
+            names = ", ".join(orders)
             progress.done(f"{DAEMON} ready on {names} ({time.monotonic() - began:.1f} s)")
             if plan.viewing is not None:
                 viewing.decide(instance, plan.viewing)
-            processes = [process for process in plan.profile.table if process.name != DAEMON]
-            with listening(instance, instance.settings(), [process.name for process in processes]) as listener:
+            processes = [process for process in plan.profile.table if process.name in wanted.near]
+            with Listener(instance, [process.name for process in processes]) as listener:
                 startup.start(fleet, listener, processes, progress=progress, interruption=interruption)
-            if plan.initial_mode is not None:
+            if plan.initial_mode is not None and not behind:
                 startup.enter_initial_mode(instance, fleet, plan.initial_mode, progress, interruption)
     return instance.settings()
 
 
 def take_down(instance: Instance, settings: Settings) -> tuple[bool, list[str]]:
-    """Take an instance down on all hosts that answer.
+    """Take an instance down on all hosts of this one's network that answer.
 
     Args:
         instance: by name the same on all.
@@ -88,7 +89,7 @@ def take_down(instance: Instance, settings: Settings) -> tuple[bool, list[str]]:
         Whether there was anything, and a line for each host of which it is not known.
     """
     with Fleet(instance, settings) as fleet:
-        answers = _down(fleet, [host.name for host in settings.hosts])
+        answers = _down(fleet, [host.name for host in settings.beside(settings.here)])
         problems = [fleet.told(name, each) for name, each in answers.items() if isinstance(each, HostError)]
     return any(answer is True for answer in answers.values()), problems
 
@@ -117,13 +118,14 @@ def settings_of(instance: Instance, name: str) -> Settings:
 
 
 def require_same(fleet: Fleet, settings: Settings) -> None:
-    """See that all hosts have the same code and the same robot.
+    """See that all hosts of this one's network have the same code and the same robot.
 
     Raises:
         HostError: names the hosts, and what differs or why one does not answer.
     """
     robot = str(settings.robot)
-    answers = fleet.switchboard.ask("versions", {host.name: {"robot": robot} for host in settings.hosts}, timeout=20.0)
+    asked = {host.name: {"robot": robot} for host in settings.beside(settings.here)}
+    answers = fleet.switchboard.ask("versions", asked, timeout=20.0)
     require(answers)
     found = {name: msgspec.convert(answer, Versions) for name, answer in answers.items()}
     here = settings.here
@@ -154,43 +156,29 @@ def _down(fleet: Fleet, hosts: Collection[str]) -> dict[str, Any]:
     return fleet.ask("down", DOWN, hosts)
 
 
-def _common_domains(fleet: Fleet, instance: Instance, settings: Settings, wanted: int | None) -> dict[bool, int]:
-    """ROS domains, the robot's (False) and, where there is a link, the operator's (True).
-
-    Each is free on all hosts of its network, and the one that is wanted, if any is.
+def _common_domain(fleet: Fleet, instance: Instance, settings: Settings, asked: int | None) -> int:
+    """A ROS domain that is free on all hosts of this one's network, and the one that is wanted, if any is.
 
     Raises:
         ValorError: there is none.
     """
-    answers = require(fleet.ask("free_domains", 10.0))
-    found: dict[bool, int] = {}
-    for operator, asked, option in ((True, settings.link.domain, "link.domain"), (False, wanted, "--domain")):
-        frees = {host.name: answers[host.name] for host in settings.hosts if host.operator is operator}
-        if frees:
-            found[operator] = _common_domain(instance, frees, asked, option, found.get(True))
-    return found
-
-
-def _common_domain(
-    instance: Instance, frees: Mapping[str, Collection[int]], wanted: int | None, option: str, operators: int | None
-) -> int:
-    """Of hosts that tell which ones are free there; ``operators``: one that it must not be."""
+    frees: Mapping[str, Collection[int]] = require(fleet.ask("free_domains", 10.0))
+    behind = bool(robots_hosts(settings))
+    wanted = settings.link.domain if behind and asked is None else asked
     if wanted is None:
-        taken = () if operators is None else (operators,)
-        return ros_domain.choose(instance.name, taken, lambda domain: all(domain in free for free in frees.values()))
+        key = f"{instance.name} behind the link" if behind else instance.name  # another than the robot's, where it can
+        return ros_domain.choose(key, (), lambda domain: all(domain in free for free in frees.values()))
     known = f"{ros_domain.DOMAINS[0]} to {ros_domain.DOMAINS[-1]}"
-    if wanted == operators:
-        raise ValorError(f"{option} {wanted}: is the operator's domain; expected another one of {known}")
     for name, free in frees.items():
         if wanted not in free:
-            raise ValorError(f"{option} {wanted}: is in use on {name}; expected another one of {known}")
+            raise ValorError(f"ROS domain {wanted}: is in use on {name}; expected another one of {known}")
     return wanted
 
 
-def _orders(instance: Instance, settings: Settings, domains: Mapping[bool, int]) -> dict[str, dict[str, Any]]:
+def _orders(instance: Instance, settings: Settings, domain: int) -> dict[str, dict[str, Any]]:
     """What each host is told to make, with fresh keys for this run."""
-    daemon = {operator: ros_domain.daemon_ports(domain)[0] for operator, domain in domains.items()}
-    computers = [Computer(host.name, host.address, daemon[host.operator]) for host in settings.hosts]
+    hosts = settings.beside(settings.here)
+    computers = [Computer(host.name, host.address, ros_domain.daemon_ports(domain)[0]) for host in hosts]
     home = instance.folder.parent
     home.mkdir(parents=True, exist_ok=True)
     with instance_setup.private_files(), tempfile.TemporaryDirectory(prefix=".making-", dir=home) as folder:
@@ -198,8 +186,6 @@ def _orders(instance: Instance, settings: Settings, domains: Mapping[bool, int])
         charter = membership.charter(made)
         bifrost.Network.create_for(computers, made.network_file, made.keys, charter)
         return {
-            host.name: msgspec.to_builtins(
-                order(made, settings, domains[host.operator], host.name), builtin_types=(bytes,)
-            )
-            for host in settings.hosts
+            host.name: msgspec.to_builtins(order(made, settings, domain, host.name), builtin_types=(bytes,))
+            for host in hosts
         }

@@ -44,7 +44,7 @@ def join(
     credentials.issue(found)
     ticket = Path(f"{found.name}.{name}.ticket")
     try:
-        write_private(ticket, credentials.ticket(name))
+        write_private(ticket, credentials.ticket(name, found.beside(name)))
     except OSError as error:
         raise ConfigurationError(f"{ticket}: {error.strerror}") from None
     address = found.hosts[name].address

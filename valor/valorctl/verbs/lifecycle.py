@@ -15,7 +15,7 @@ from valor.common.processes import RECORDER
 from valor.common.viewing import LOOPBACK
 from valor.simulation.world_names import WORLD_NAMES
 from valor.valorctl import completion
-from valor.valorctl.console import progress, say
+from valor.valorctl.console import Progress, progress, say
 from valor.valorctl.interruption import Interruption
 from valor.valorctl.recording_options import BOUND_VARIABLE
 from valor.valorctl.verbs.options import (
@@ -193,17 +193,22 @@ def _announce(instance: Instance, plan: Plan, settings: Settings, seconds: float
     """What is up, and where to look at it."""
     from valor.valorctl import foxglove_options, recording_report, viewing
 
+    near = [host.name for host in settings.beside(settings.here)]
     say(
         f"instance {instance.name!r} is up in {seconds:.1f} s: {settings.robot.name}, "
         f"profile {settings.profile}, {settings.clock}, ROS domain {settings.ros_domain_id}"
         + (f", namespace {settings.namespace}" if settings.namespace else "")
-        + (f", hosts {', '.join(host.name for host in settings.hosts)}" if settings.hosts else "")
+        + (f", hosts {', '.join(near)}" if near else "")
         + (f", peers {', '.join(settings.peers)}" if settings.peers and not settings.hosts else "")
     )
     if RECORDER in (own := settings.processes_here(plan.profile.processes)) or not settings.hosts:
         say(recording_report.announcement(instance, settings, own))
     if plan.viewing is not None:
         say(viewing.announcement(instance))
+    if linking.robots_hosts(settings):
+        from valor.valorctl.hosts.beyond import there
+
+        say(f"the operator's side; the robot's is another `up`; {there(settings)}")
     if (told := foxglove_options.announcement(settings)) is not None:
         say(told)
 
@@ -230,13 +235,38 @@ def _down_everywhere(instance: Instance, name: str | None) -> None:
     from valor.valorctl.hosts import together
 
     settings = instance.settings() if name is None else together.settings_of(instance, name)
-    with progress() as shown, Interruption():
-        shown.waiting(f"stopping instance {instance.name!r} on {', '.join(host.name for host in settings.hosts)}")
+    near = settings.beside(settings.here)
+    with progress() as shown, Interruption() as interruption:
+        beyond = _down_beyond(instance, settings, shown, interruption)
+        shown.waiting(f"stopping instance {instance.name!r} on {', '.join(host.name for host in near)}")
         was_up, problems = together.take_down(instance, settings)
+    if beyond:
+        over = "\n".join(problems) or "this side is down"
+        raise ValorError(f"{beyond}\nwhat runs on the robot's side goes on; {over}")
     if problems:
         again = f"once it is back: valorctl down --deployment FILE{Instance.option(instance.name)}"
         raise ValorError("\n".join([*problems, f"what runs there goes on; all other hosts are down; {again}"]))
-    say(f"instance {instance.name!r} is down on every host" if was_up else f"instance {instance.name!r} was not up")
+    where = "every host" if len(near) == len(settings.hosts) else ", ".join(host.name for host in near)
+    say(f"instance {instance.name!r} is down on {where}" if was_up else f"instance {instance.name!r} was not up")
+
+
+def _down_beyond(instance: Instance, settings: Settings, shown: Progress, interruption: Interruption) -> str:
+    """First the robot's side, where this is the operator's; why that is not down, empty: it is, or there is none."""
+    robots = linking.robots_hosts(settings)
+    if not robots:
+        return ""
+    from valor.valorctl.hosts.beyond import Beyond, BeyondError, there
+
+    if not instance.settings_file.exists():
+        shown.done(f"the robot's side is not reached while this one is not up; {there(settings)}")
+        return ""
+    shown.waiting(f"stopping instance {instance.name!r} on {', '.join(robots)}, through the link")
+    try:
+        with Beyond(instance, instance.settings(), interruption.check) as beyond:
+            beyond.down(lambda said: shown.done(f"robot's side: {said}"))
+    except BeyondError as error:
+        return str(error)
+    return ""
 
 
 def restart(
@@ -248,5 +278,13 @@ def restart(
     from valor.valorctl import startup
 
     instance = Instance.from_environment()
+    settings = instance.settings()
     with progress() as shown, Interruption() as interruption:
-        startup.restart(instance, service, shown, interruption)
+        if linking.beyond(settings, service):
+            from valor.valorctl.hosts.beyond import Beyond
+
+            shown.waiting(f"restarting {service}, through the link")
+            with Beyond(instance, settings, interruption.check) as beyond:
+                shown.done(beyond.do("restart", service))
+        else:
+            startup.restart(instance, service, shown, interruption)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from valor.common import linking
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance
 from valor.common.viewing import LOOPBACK
@@ -17,6 +18,7 @@ from valor.valorctl.console import complain, say, say_json
 from valor.valorctl.verbs.options import OptionalRobot
 
 if TYPE_CHECKING:
+    from valor.valorctl.hosts.beyond import BeyondLogs
     from valor.valorctl.hosts.logs import HostsLogs
     from valor.valorctl.log_reader import LogReader
     from valor.valorctl.watch import Watch
@@ -116,8 +118,13 @@ def logs(
     begin = moment(since, datetime.now()) if since is not None else None
     count = 20 if lines is None and since is None else lines
     instance = Instance.from_environment()
-    reading: type[LogReader | HostsLogs] = LogReader
-    if instance.settings_file.exists() and instance.settings().hosts:
+    reading: type[LogReader | HostsLogs | BeyondLogs] = LogReader
+    settings = instance.settings() if instance.settings_file.exists() else None
+    if settings is not None and service is not None and linking.beyond(settings, service):
+        from valor.valorctl.hosts.beyond import BeyondLogs
+
+        reading = BeyondLogs
+    elif settings is not None and settings.hosts:
         from valor.valorctl.hosts.logs import HostsLogs
 
         reading = HostsLogs
