@@ -199,8 +199,8 @@ def test_another_deployments_keys_get_no_word(trio: Hosts) -> None:
 
     assert "has not joined deployment 'stranger'" in valorctl("up", "--deployment", "stranger.yaml").stderr
     assert valorctl("host", "join", "operator", "--deployment", "stranger.yaml").returncode == 0
-    network = trio.folder / "stranger/.hosts/stranger/network.json"
-    network.write_bytes(copy_for(network.read_bytes(), "operator"))  # as an agent's ticket would
+    folder = trio.folder / "stranger/.hosts/stranger"
+    (folder / "network.json").write_bytes(copy_for((folder / "made.json").read_bytes(), "operator"))
     unheard = valorctl("up", "--deployment", "stranger.yaml")
     assert unheard.returncode == 1
     for name in trio.network.addresses:
