@@ -12,8 +12,11 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
+import psutil
 from sensor_msgs.msg import JointState
 
 from benchmarks.link import show
@@ -60,13 +63,37 @@ def states(ends: Ends) -> int:
     return int(values.get("states", 0))
 
 
-def measure(ends: Ends) -> tuple[float, list[int], float]:
-    """Have the bag come: how long it took [s], bytes of each burst, states a second meanwhile."""
+def processor(ends: Ends) -> list[float]:
+    """How much of one each end has taken [s]."""
+    times = [psutil.Process(ends.running.process(name).pid).cpu_times() for name in ENDS[1:]]
+    return [each.user + each.system for each in times]
+
+
+@dataclass
+class Measured:
+    """While a bag came.
+
+    Attributes:
+        lasted: [s].
+        bursts: bytes of each.
+        states: that came in each second.
+        taken: of a processor, by each end [s].
+    """
+
+    lasted: float
+    bursts: list[int]
+    states: list[int]
+    taken: list[float]
+
+
+def measure(ends: Ends) -> Measured:
+    """Have the bag come."""
     name = f"{BAG}.mcap"
     wait_until(lambda: ends.said(name) == "on the robot" and states(ends), 120.0, "the list of bags, and states")
     ends.fetch(name)
     wait_until(lambda: ends.here(name), 120.0, "some of it")
-    began, had, counted = time.monotonic(), ends.here(name), states(ends)
+    began, had, taken = time.monotonic(), ends.here(name), processor(ends)
+    counted = [states(ends)]
     last, bursts, told = began, [had], had
     while ends.said(name) != "here":
         assert time.monotonic() < began + LONGEST, f"not within {LONGEST:g} s"
@@ -76,10 +103,15 @@ def measure(ends: Ends) -> tuple[float, list[int], float]:
                 bursts.append(0)
             bursts[-1] += here - told
             last, told = now, here
+        if now - began >= len(counted):
+            counted.append(states(ends))
         time.sleep(0.02)
     lasted = time.monotonic() - began
     assert (ends.running.instance.fetched / name).read_bytes() == ends.content
-    return lasted, bursts, (states(ends) - counted) / lasted
+    each_second = [after - before for before, after in pairwise([*counted, states(ends)] if lasted < 1.0 else counted)]
+    return Measured(
+        lasted, bursts, each_second, [after - before for before, after in zip(taken, processor(ends), strict=True)]
+    )
 
 
 def run(size: int, seed: int | None) -> list[object]:
@@ -95,27 +127,29 @@ def run(size: int, seed: int | None) -> list[object]:
         try:
             for name in ENDS:
                 ends.start(name)
-            lasted, bursts, rate = measure(ends)
+            found = measure(ends)
         finally:
             joints.stop()
             if between is not None:
                 between.terminate()
                 between.wait()
     if seed is None:
-        each = size / lasted
+        each = size / found.lasted
         what = "nothing between"
     else:
-        whole = sorted(bursts[:-1] or bursts)  # the last window is not filled
+        whole = sorted(found.bursts[:-1] or found.bursts)  # the last window is not filled
         each = whole[len(whole) // 2]
         what = f"windows of 1 s, {DRC_FAST.bandwidth / 1e6:.0f} Mbit/s"
     load = f"{os.getloadavg()[0]:.1f}"
     return [
         what,
-        f"{lasted:.0f}",
-        len(bursts),
+        f"{found.lasted:.1f}",
+        len(found.bursts),
         f"{each / 1e6:.1f}",
         f"{100.0 * each / WINDOW:.0f}",
-        f"{rate:.1f}",
+        f"{sum(found.states) / len(found.states):.1f}",
+        min(found.states),
+        " + ".join(f"{1e9 * each / size:.1f}" for each in found.taken),
         load,
     ]
 
@@ -127,7 +161,7 @@ def main() -> None:
     asked = parser.parse_args()
     size = int(1e6 * asked.size)
     head = ["between the ends", "it took [s]", "bursts", "a window [MB]", "of 300 Mbit/s [%]", "states a second",
-            "load"]  # fmt: skip
+            "fewest", "of a processor [ms/MB]", "load"]  # fmt: skip
     show("A bag over the fast channel", head, [run(size, None), run(size, asked.seed)])
 
 

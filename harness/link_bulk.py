@@ -102,7 +102,7 @@ class BulkPair:
             except SealError:
                 self.refused += 1
         for robot, end in ((True, self.giver), (False, self.fetcher)):
-            for data in end.turn(self.now):
+            for data in itertools.chain.from_iterable(end.turn(self.now)):
                 for arrival in self._lines[robot].put(len(data), self.now):
                     heapq.heappush(self._flying, (arrival, next(self._order), not robot, data))
 

@@ -15,16 +15,16 @@ from typing import Protocol
 
 from valor.common.errors import ConfigurationError
 from valor.link.bulk.lane import BULK
+from valor.link.datagrams import Address, Datagrams
 from valor.link.end import Channel, End
 from valor.link.errors import SealError
 from valor.link.session import SEALED
 
-LONGEST = 2048  # of a datagram [B]
-MOST = 64  # datagrams of a channel in one turn
+LONGEST = 2048  # of a datagram of the slow channel [B]
+MOST = 64  # of them in one turn
 LONG = 0.004  # of a processor that datagrams of the fast channel may take in one turn [s]
 BUFFER = 4 * 2**20  # of the fast channel's sockets; the system may grant less [B]
 _BULK = bytes((BULK,))
-Address = tuple[str, int]
 
 
 class Things(Protocol):
@@ -41,8 +41,8 @@ class Things(Protocol):
             SealError: it is none.
         """
 
-    def turn(self, now: float, all_heard: bool, /) -> Iterator[bytes]:
-        """Datagrams to send now; one that is not taken off is offered again.
+    def turn(self, now: float, all_heard: bool, /) -> Iterator[list[bytes]]:
+        """Datagrams to send now, together as ``Datagrams.send`` takes them; what is not taken off is offered again.
 
         Args:
             now: monotonic [s].
@@ -85,6 +85,7 @@ class Carrier:
             self._selector.register(each, selectors.EVENT_READ, channel)
         for which in (socket.SO_RCVBUF, socket.SO_SNDBUF):
             self._sockets[Channel.FAST].setsockopt(socket.SOL_SOCKET, which, BUFFER)
+        self._fast = Datagrams(self._sockets[Channel.FAST])
 
     def wait(self, longest: float) -> None:
         """Until something comes, at most so long [s]."""
@@ -93,10 +94,13 @@ class Carrier:
     def turn(self, now: float) -> None:
         """Take what has come, send what is due; ``now``: monotonic [s]."""
         for _ in range(MOST):
-            if not self._take(Channel.SLOW, now):
+            try:
+                data, address = self._sockets[Channel.SLOW].recvfrom(LONGEST)
+            except OSError:  # nothing more; or nobody is there, as ICMP tells
                 break
+            self._hear(Channel.SLOW, data, address, now)
         until = time.thread_time() + LONG
-        while (more := self._take(Channel.FAST, now)) and time.thread_time() < until:
+        while (more := self._take(now)) and time.thread_time() < until:
             pass
         for channel, data in self._end.turn(now):
             caller = None if self._fixed or data[0] == SEALED else self._callers.get(channel)
@@ -106,12 +110,17 @@ class Carrier:
                     self._sockets[channel].sendto(data, to)
         self._give(now, not more)
 
-    def _take(self, channel: Channel, now: float) -> bool:
-        """A datagram; whether there was one."""
+    def _take(self, now: float) -> bool:
+        """Datagrams of the fast channel; whether there were any."""
         try:
-            data, address = self._sockets[channel].recvfrom(LONGEST)
-        except OSError:  # nothing more; or nobody is there, as ICMP tells
+            together, address = self._fast.receive()
+        except OSError:  # as of the slow one
             return False
+        for data in together:
+            self._hear(Channel.FAST, data, address, now)
+        return True
+
+    def _hear(self, channel: Channel, data: bytes, address: Address, now: float) -> None:
         if self._things is not None and channel is Channel.FAST and data[:1] == _BULK:
             try:
                 self._things.receive(data, now)
@@ -119,16 +128,14 @@ class Carrier:
                 self._end.refuse(error)
         elif self._end.receive(data, channel, now):
             (self._peers if data[0] == SEALED and not self._fixed else self._callers)[channel] = address
-        return True
 
     def _give(self, now: float, all_heard: bool) -> None:
         to = self._peers.get(Channel.FAST)
         if self._things is None or to is None:
             return
-        send = self._sockets[Channel.FAST].sendto
-        for data in self._things.turn(now, all_heard):
+        for together in self._things.turn(now, all_heard):
             try:
-                send(data, to)
+                self._fast.send(together, to)
             except OSError:  # the buffer is full, or nobody is there
                 return
 

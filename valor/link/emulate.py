@@ -7,6 +7,7 @@ port after it, and back, as badly as asked for.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import heapq
 import itertools
 import selectors
@@ -14,12 +15,14 @@ import socket
 import threading
 import time
 
+from valor.link.datagrams import AT_ONCE, Address, Datagrams
 from valor.link.emulator import DRC_FAST, DRC_SLOW, Bandwidth, Conditions, Line
 from valor.link.schedule import Windows, drc_windows, random_windows
 
 HOST = "127.0.0.1"
-LONGEST = 65536
-_Flight = tuple[float, int, socket.socket, tuple[str, int], bytes]
+TURN = 16  # times that a port is asked for what has come before another is
+BUFFER = 4 * 2**20  # of a port [B]
+_Flight = tuple[float, int, Datagrams, Address, bytes]
 
 
 class Emulator:
@@ -66,7 +69,8 @@ class Emulator:
             Line(fast, seed + 2, windows), Line(fast, seed + 3, windows),
         ]  # fmt: skip
         self.cut = False
-        self._callers: dict[int, tuple[str, int]] = {}
+        self._ports = {each: Datagrams(each) for each in (*self._doors, *self._backs)}
+        self._callers: dict[int, Address] = {}
         self._flying: list[_Flight] = []
         self._order = itertools.count()
         self._closing = threading.Event()
@@ -83,27 +87,43 @@ class Emulator:
                 due = self._flying[0][0] - time.monotonic() if self._flying else 0.1
                 for key, _ in selector.select(min(max(due, 0.0), 0.1)):
                     channel, to_robot = key.data
-                    self._take(channel, to_robot, time.monotonic(), began)
-                while self._flying and self._flying[0][0] <= time.monotonic():
-                    _, _, door, address, data = heapq.heappop(self._flying)
-                    door.sendto(data, address)
+                    for _ in range(TURN):
+                        if not self._take(channel, to_robot, began):
+                            break
+                self._send(time.monotonic())
 
-    def _take(self, channel: int, to_robot: bool, now: float, began: float) -> None:
+    def _take(self, channel: int, to_robot: bool, began: float) -> bool:
+        """What has come to a port; whether anything had."""
         try:
-            data, address = (self._doors if to_robot else self._backs)[channel].recvfrom(LONGEST)
+            together, address = self._ports[(self._doors if to_robot else self._backs)[channel]].receive()
         except OSError:
-            return
-        if to_robot and not self.to[channel]:
-            return
+            return False
         if to_robot:
             self._callers[channel] = address
             door, there = self._backs[channel], (self._robot, self.to[channel])
-        elif channel in self._callers:
-            door, there = self._doors[channel], self._callers[channel]
         else:
-            return
-        for arrival in self.lines[2 * channel + (not to_robot)].put(len(data), now - began) if not self.cut else ():
-            heapq.heappush(self._flying, (began + arrival, next(self._order), door, there, data))
+            door, there = self._doors[channel], self._callers.get(channel, (HOST, 0))
+        if self.cut or not there[1]:
+            return True
+        line, now = self.lines[2 * channel + (not to_robot)], time.monotonic() - began
+        for data in together:
+            for arrival in line.put(len(data), now):
+                heapq.heappush(self._flying, (began + arrival, next(self._order), self._ports[door], there, data))
+        return True
+
+    def _send(self, now: float) -> None:
+        """What is due, together where it may be: one after the other to the same place, as long as the first."""
+        while self._flying and self._flying[0][0] <= now:
+            _, _, door, there, first = heapq.heappop(self._flying)
+            together = [first]
+            while self._flying and len(together) < AT_ONCE:
+                due, _, *to, data = self._flying[0]
+                if due > now or to != [door, there] or len(data) != len(first):
+                    break
+                together.append(data)
+                heapq.heappop(self._flying)
+            with contextlib.suppress(OSError):  # nobody is there any more, or its buffer is full
+                door.send(together, there)
 
     def close(self) -> None:
         """Carry nothing any more."""
@@ -129,6 +149,8 @@ def _doors(address: str, port: int) -> list[socket.socket]:
 def _door(address: str, port: int) -> socket.socket:
     door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     door.setblocking(False)
+    for which in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+        door.setsockopt(socket.SOL_SOCKET, which, BUFFER)
     door.bind((address, port))
     return door
 

@@ -118,7 +118,8 @@ def test_in_a_blackout_there_are_questions_alone_and_they_are_small(tmp_path: Pa
     link.until(lambda: not link.fetcher.open, LONG)
     sent: list[bytes] = []
     for turn in range(500):
-        sent += [*link.fetcher.turn(link.now + 0.002 * turn), *link.giver.turn(link.now + 1.0 + 0.002 * turn)]
+        for together in (*link.fetcher.turn(link.now + 0.002 * turn), *link.giver.turn(link.now + 1.0 + 0.002 * turn)):
+            sent += together
     assert 40 <= len(sent) <= 60 and max(map(len, sent)) < 160
 
 
@@ -186,14 +187,14 @@ def test_a_disk_that_is_full_on_the_way_ends_this_bag_and_no_other(
     filed(tmp_path / "robot", 200_000)
     second = filed(tmp_path / "robot", 5000, "2026-01-01_00-00-01.mcap")
     link = pair(tmp_path)
-    pwrite = os.pwrite
+    pwritev = os.pwritev
 
-    def full(descriptor: int, content: bytes, at: int) -> int:
-        if at > 100_000:
+    def full(descriptor: int, content: list[bytes], at: int) -> int:
+        if at > 80_000:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return pwrite(descriptor, content, at)
+        return pwritev(descriptor, content, at)
 
-    monkeypatch.setattr(os, "pwrite", full)
+    monkeypatch.setattr(os, "pwritev", full)
     link.fetcher.errands.want(NAME)
     link.fetcher.errands.want("2026-01-01_00-00-01.mcap")
     link.until(lambda: here(link, "2026-01-01_00-00-01.mcap"), LONG)
@@ -229,7 +230,7 @@ def test_what_is_on_the_disk_but_is_not_what_was_sent_does_not_appear(tmp_path: 
 def test_datagrams_of_an_old_session_are_refused(tmp_path: Path) -> None:
     filed(tmp_path / "robot", 100)
     link = pair(tmp_path)
-    (old,) = link.fetcher.turn(link.now)
+    ((old,),) = link.fetcher.turn(link.now)
     link.restart(robot=True)
     with pytest.raises(SealError):
         link.giver.receive(old, link.now)

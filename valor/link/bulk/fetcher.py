@@ -204,8 +204,8 @@ class Fetcher:
         if sink.chunks.whole:
             self._check(wanted, sink)
 
-    def turn(self, now: float, all_heard: bool = True) -> Iterator[bytes]:
-        """Datagrams to send now; ``all_heard``: nothing that has come waits to be received."""
+    def turn(self, now: float, all_heard: bool = True) -> Iterator[list[bytes]]:
+        """As of ``carrier.Things``."""
         self._renew()
         self._now = now
         self._checked()
@@ -215,12 +215,12 @@ class Fetcher:
             self._close()
         if now >= self._news_due:
             self._news_due = now + PROBES
-            yield self._lane.seal(said(Ask(self.errands.unknown())))
+            yield [self._lane.seal(said(Ask(self.errands.unknown())))]
         if self._open:
             self._choose()
             yield from self._ask(now, all_heard)
 
-    def _ask(self, now: float, all_heard: bool) -> Iterator[bytes]:
+    def _ask(self, now: float, all_heard: bool) -> Iterator[list[bytes]]:
         if self._active is None:
             return
         described, sink = self._active
@@ -232,7 +232,7 @@ class Fetcher:
             sink.note()
         room = int(self._pace.credit) - chunks.under_way
         if (room >= BATCH or not chunks.under_way) and (ranges := chunks.ask(room, MOST_RANGES, now)):
-            yield self._lane.seal(said(Want(described.tag, tuple(ranges))))
+            yield [self._lane.seal(said(Want(described.tag, tuple(ranges))))]
         if described.kind is Bulk.BAG:
             self.errands.progress(described.name, chunks.bytes_here, described.size)
 

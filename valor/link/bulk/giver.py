@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from valor.link.bulk.lane import Lane
 from valor.link.bulk.things import Shelf, Thing
 from valor.link.bulk.wire import CHUNK, Ask, Gone, News, Want, Word, chunk, heard, said
+from valor.link.datagrams import AT_ONCE
 from valor.link.errors import BulkError, SealError
 from valor.link.session import Session
 
@@ -30,7 +31,8 @@ class Giver:
         self._lane, self._shelf = Lane(session), shelf
         self._things: dict[bytes, Thing] = {}
         self._words: list[Word] = []
-        self._queue: OrderedDict[tuple[bytes, int], None] = OrderedDict()
+        self._wanted = b""  # tag of the thing whose chunks are in the queue
+        self._queue: OrderedDict[int, None] = OrderedDict()
         self._newest = 0
         self._heard = -1e9
         self.sent = 0
@@ -95,40 +97,54 @@ class Giver:
             self._words.append(Gone(word.thing))
             return
         self._things[word.thing] = self._things.pop(word.thing)  # the newest of them
-        if self._queue and next(iter(self._queue))[0] != word.thing:
+        if self._wanted != word.thing:
             self._queue.clear()  # something more urgent
+            self._wanted = word.thing
         last = -(-thing.described.size // CHUNK)
         for first, count in word.ranges:
             for place in range(first, min(first + count, last)):
                 if len(self._queue) >= WAITING:
                     return
-                self._queue[word.thing, place] = None
+                self._queue[place] = None
 
-    def turn(self, now: float, _all_heard: bool = True) -> Iterator[bytes]:
-        """Datagrams to send now, until ``TURN`` is over; nothing is taken off that was not asked for."""
+    def turn(self, now: float, _all_heard: bool = True) -> Iterator[list[bytes]]:
+        """Datagrams to send now, as of ``carrier.Things``, until ``TURN`` is over."""
         self._renew()
         if now - self._heard > FORGOTTEN:
             self._queue.clear()
             self._words.clear()
         while self._words:
-            yield self._lane.seal(said(self._words.pop(0)))
+            yield [self._lane.seal(said(self._words.pop(0)))]
         until = time.thread_time() + TURN
         while self._queue and time.thread_time() < until:
-            tag, place = next(iter(self._queue))
-            thing = self._things.get(tag)
-            try:
-                content = thing.read(place * CHUNK, CHUNK) if thing is not None else b""
-            except (BulkError, OSError):
-                content = b""
+            tag, run = self._wanted, self._run()
+            content = self._read(tag, run)
             if not content:
                 self._queue.clear()
-                if thing is not None:
+                if tag in self._things:
                     self._forget(tag)
-                yield self._lane.seal(said(Gone(tag)))
+                yield [self._lane.seal(said(Gone(tag)))]
                 return
-            yield self._lane.seal(chunk(tag, place, content))
-            del self._queue[tag, place]
-            self.sent += 1
+            pieces = (content[at : at + CHUNK] for at in range(0, len(content), CHUNK))
+            yield [self._lane.seal(chunk(tag, *each)) for each in zip(run, pieces, strict=True)]
+            for place in run:
+                del self._queue[place]
+            self.sent += len(run)
+
+    def _run(self) -> range:
+        """Chunks side by side that are wanted, the first of them since longest."""
+        first = end = next(iter(self._queue))
+        while end < first + AT_ONCE and end in self._queue:
+            end += 1
+        return range(first, end)
+
+    def _read(self, tag: bytes, run: range) -> bytes:
+        """Their bytes; none: they are not to be had."""
+        try:
+            thing = self._things[tag]
+            return thing.read(run.start * CHUNK, len(run) * CHUNK)
+        except (KeyError, BulkError, OSError):
+            return b""
 
     def close(self) -> None:
         """Let go of all."""
