@@ -88,7 +88,7 @@ demo: $(STAMP)
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 # What a robot's users do and bring, and what takes longer: demos, experiments, films, changes by the book, robots of their own,
 # many pushes, stairs, browsers, another DDS, readers of bags, launch files, other computers, and no checkout.
-CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk \
+CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk deployment_document \
   escher_steps experiments getting_up installed late_goals legs_alone link link_ends link_fast operator_commands operator_page \
   operator_beyond operator_recorded operator_viewers hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
   two_robots wheels) valorctl/test_whole_system.py $(patsubst %,vrc/test_%.py,bypass moveit nodes other_dds)) \

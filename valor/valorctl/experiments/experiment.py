@@ -12,10 +12,11 @@ from pathlib import Path
 
 from valor.analysis.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.common.errors import ValorError
-from valor.common.instance import ClockMode, Instance, Recording, Settings
+from valor.common.instance import ClockMode, Instance, Link, Recording, Settings
 from valor.common.resources import robot_folder
+from valor.common.viewing import Viewing
 from valor.robot.description import RobotDescription
-from valor.valorctl import arm_motion, startup
+from valor.valorctl import arm_motion, ros_domain, startup
 from valor.valorctl.console import Progress
 from valor.valorctl.instance_setup import Request
 from valor.valorctl.interruption import Interruption
@@ -64,6 +65,7 @@ class Run:
         robot: Path | None = None,
         actuators: str | None = None,
         recording: Recording | None = None,
+        page: bool = False,
     ) -> Iterator[Settings]:
         """A system of the experiment's own that is up inside and down behind, whatever happens.
 
@@ -73,6 +75,7 @@ class Run:
             robot: its folder; the profile's robot unless given.
             actuators: a profile of imperfections; that of the command line unless given.
             recording: what the recorder keeps; everything unless given.
+            page: with both ends of a link, and the operator's page behind it.
         """
         if bag is not None:
             bag.unlink(missing_ok=True)  # an earlier run's: the recorder would take another name
@@ -80,6 +83,7 @@ class Run:
         request = Request(
             profile=profile or options.profile, robot=str(robot or options.robot), clock=options.clock,
             actuators=actuators or options.actuators, seed=options.seed, bag=bag, recording=recording or Recording(),
+            view=Viewing() if page else None, link=Link(domain=_behind(self.instance) if page else None),
         )  # fmt: skip
         with startup.running(self.instance, request, self.progress, self.interruption) as settings:
             self._note({
@@ -165,6 +169,13 @@ class Experiment:
             return result, result.save(options.out)
         except OSError as lost:
             raise ValorError(f"{_lost(lost)}; the result is lost") from None
+
+
+def _behind(instance: Instance) -> int:
+    """A ROS domain for the operator's side of a link."""
+    others = ros_domain.taken(instance.folder.parent)
+    robots = ros_domain.choose(instance.name, others, ros_domain.is_free)
+    return ros_domain.choose(f"{instance.name} behind the link", {*others, robots}, ros_domain.is_free)
 
 
 def _lost(error: OSError) -> str:

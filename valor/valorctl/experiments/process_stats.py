@@ -48,11 +48,11 @@ def run(run: Run) -> None:
     bag = run.out / "process_stats.mcap"
     accompanied: _Stood | None = None
     with run.system(bag=bag) as settings:
-        pids = {name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid}
-        alone = _stand(run, pids, seconds)
-        if run.options.beside:
-            with beside.working(run) as others:
-                accompanied = _stand(run, pids | others, seconds)
+        alone = _stand(run, _pids(run), seconds)
+    if run.options.beside:
+        run.files.append(run.out / "process_stats_beside.mcap")
+        with run.system(bag=run.files[-1], page=True), beside.working(run) as others:
+            accompanied = _stand(run, _pids(run) | others, seconds)
     usage, variant = alone.usage, settings.variant
     run.text = (
         f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
@@ -93,17 +93,21 @@ def run(run: Run) -> None:
 def _tell(run: Run, stood: _Stood) -> None:
     """Table 5.1 once more, while others work with the robot."""
     run.text += (
-        " Then as long again with an operator's client, which hears joints, transforms, forces and states at their "
-        "full rate, and a planner of an arm's ways and of steps, which hears the joints, beside it."
+        " Then a system as long with both ends of a link and the operator's page behind it, with an operator's client, "
+        "which hears joints, transforms, forces and states at full rate, and a planner of an arm's ways and of steps."
     )
-    run.tables.append(_table(", with an operator's client and a planner", stood.usage))
+    run.tables.append(_table(", with the page behind a link, an operator's client and a planner", stood.usage))
     run.measures += [
         Measure("VRC processor, mean, with others", float(stood.usage[_VRC].cpu.mean()), "% of one core",
-                "36 simulation, 53 hardware", "an operator's client and a planner beside it, and the recorder"),
+                "36 simulation, 53 hardware", "the page behind a link, an operator's client and a planner beside it"),
         Measure("robot time against the wall's, with others", stood.pace, "", "", "likewise"),
         Measure("recorder, messages dropped, with others", float(stood.dropped), "", "", "of all topics, likewise"),
     ]  # fmt: skip
     run.files.append(write_csv(stood.usage, run.out / "process_stats_beside.csv"))
+
+
+def _pids(run: Run) -> dict[str, int]:
+    return {name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid}
 
 
 def _stand(run: Run, pids: Mapping[str, int], seconds: float) -> _Stood:

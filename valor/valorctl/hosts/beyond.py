@@ -61,8 +61,8 @@ class Beyond:
         """What to do there."""
         return there(self._settings)
 
-    def do(self, *words: str, timeout: float = LONG) -> str:
-        """Have a verb done there; what was said to it.
+    def do(self, *words: str, timeout: float = LONG, last: bool = False) -> str:
+        """Have a verb done there; what was said to it, or nothing of one that ends the robot's end, the ``last``.
 
         Raises:
             BeyondError: it was not, or nobody knows; says why, and what to do.
@@ -73,6 +73,8 @@ class Beyond:
             if time.monotonic() - began > timeout:
                 silent = f", the robot's end silent for {told.silent:.0f} s"
                 raise BeyondError(f"{words[0]} through the link: {told.state}, no answer in {timeout:g} s{silent}")
+            if last and told.state == "begun" and told.silent > GONE:
+                return ""
             self._check()
             time.sleep(PERIOD)
             told = self._call(BeyondRequest([], told.number))
@@ -108,7 +110,8 @@ class Beyond:
             BeyondError: as of ``do``; or its end of the link goes on.
         """
         tell(self.do("down"))
-        tell(self.do("end"))
+        if said := self.do("end", last=True):
+            tell(said)
         deadline = time.monotonic() + ENDING
         while (told := self._call(BeyondRequest([], 0))).silent < GONE:
             if time.monotonic() > deadline:

@@ -52,7 +52,10 @@ def experiment(
     profile: Profile = "sim",
     clock: OptionalClock = None,
     beside: Annotated[
-        bool, typer.Option("--beside", help="process-stats: once more with an operator's client and a planner.")
+        bool,
+        typer.Option(
+            "--beside", help="process-stats: once more with an operator's page behind a link, his client, a planner."
+        ),
     ] = False,
 ) -> None:
     """Repeat an experiment of the thesis, or all and their report, in a system of its own."""
