@@ -27,7 +27,7 @@ class Hand(Arms):
         network: Any = self.system.network
         bypass = ControllerBypass(side.node, network, vrc.interface, frames, soft_stop=lambda: None)
         modes = vrc.mode_controller
-        self.system.after = lambda: bypass.update(modes.current, vrc.hw, modes.hard_resets)
+        self.system.after = lambda: bypass.update(modes.current, vrc.hw, modes.stops)
         self._goals = next(each for each in side.node.subscriptions if each.topic_name.endswith("r_hand/goal_pose"))
         self.system.run(4)
 
@@ -80,4 +80,15 @@ def test_a_second_stop_lets_a_hand_go_that_was_led_since_the_first(hand: Hand) -
     hand.system.run(60)
     assert hand.hand()[0] == "moving"
     hand.stop()
+    assert hand.let_go()
+
+
+def test_a_stop_counts_that_another_mode_follows_in_the_same_cycle(hand: Hand) -> None:
+    hand.goal()
+    hand.system.run(60)
+    assert hand.hand()[0] == "moving"
+    hand.system.ask("stop")
+    after = hand.system.ask("stand_manipulate")
+    hand.system.run(AT_ONCE)
+    assert after.report.current == "stand_manipulate"
     assert hand.let_go()

@@ -71,6 +71,7 @@ class ControlModeController:
         reports: how often the report changed.
         active_mode: whose controllers are to run; empty: none may.
         hard_resets: how often all controllers had to start anew.
+        stops: how often those of a mode that leaves the behavior as it is had to: of stop.
         refusals: of requests.
     """
 
@@ -90,6 +91,7 @@ class ControlModeController:
         self.reports = 1
         self.active_mode = ""
         self.hard_resets = 0
+        self.stops = 0
         self.refusals = Refusals(BoundedLog(_log), "control mode {}")
         self._waits_for = ""
         self._refusal = refusal
@@ -229,7 +231,7 @@ class ControlModeController:
             self._refuse(requested, client, refused.error, str(refused))
             return
         if not change and target.mode == self.current:
-            self.hard_resets += not self._table.modes[target.mode].motion  # stop: of what moves since the last one
+            self._restart(target.mode, again=True)
             report = ModeReport(target.mode, self.current, _S.MODE_ACCEPTED | _S.MODE_DUPLICATE)
             self._set(report)
             self._conclude(client, report)
@@ -249,8 +251,7 @@ class ControlModeController:
         """
         name = target.mode
         mode = self._table.modes[name]
-        if mode.switch == "hard_reset":
-            self.hard_resets += 1
+        self._restart(name)
         if not mode.motion or (mode.motion[1] == self._motion.behavior and not under_way):
             # Nothing to ask for: the mode keeps the behavior, or differs in its controllers alone.
             self.active_mode = name
@@ -265,6 +266,13 @@ class ControlModeController:
         self._set(report)
         if client:
             client.processing(report)
+
+    def _restart(self, name: str, *, again: bool = False) -> None:
+        """Have controllers start anew where a mode says so; asked for ``again``, stop alone: of what moves since."""
+        mode = self._table.modes[name]
+        if mode.switch == "hard_reset" and not (again and mode.motion):
+            self.hard_resets += 1
+            self.stops += not mode.motion
 
     def _finish(self, status: ModeStatus, reason: str, current: str | None = None) -> None:
         """The change under way is over."""

@@ -26,7 +26,7 @@ from valor_msgs.msg import BalanceWeights as RosBalanceWeights
 from valor_msgs.msg import JointGains as RosJointGains
 
 import bifrost
-from valor.common.behaviors import WALKING_MODES, ControlMode
+from valor.common.behaviors import WALKING_MODES
 from valor.common.messages import BalanceWeights, JointGains, VelocityCommand
 from valor.common.rotation import NORM, roll_pitch_yaw
 from valor.common.topics import BALANCE_WEIGHTS, JOINT_GAINS, VELOCITY
@@ -80,7 +80,7 @@ class ControllerBypass:
         self._interface = interface
         self._hands = HandGoals(ros, node, dict(frames), self.rejections)
         self._cycle = 0
-        self._resets = 0
+        self._stops = 0
         self._newest: RealTimeBuffer[Twist] = RealTimeBuffer()
         self._waiting: deque[tuple[str, Command]] = deque(maxlen=QUEUE)
         self._velocity = VELOCITY.publisher(node)
@@ -107,10 +107,9 @@ class ControllerBypass:
             self._hands.publish(self._interface.silent)
             self.rejections.publish()
 
-    def update(self, control_mode: str, hw: ValorEscherHWInterface, resets: int) -> None:
-        """Pass on what has come for the Motion System; ``resets``: how often all controllers had to start anew."""
-        stopped = control_mode == ControlMode.STOP and resets != self._resets
-        self._resets = resets
+    def update(self, control_mode: str, hw: ValorEscherHWInterface, stops: int) -> None:
+        """Pass on what has come for the Motion System; ``stops``: how often mode stop was entered."""
+        stopped, self._stops = stops != self._stops, stops
         for _ in range(len(self._waiting) if stopped else min(len(self._waiting), AT_ONCE)):
             _, hand_over = self._waiting.popleft()
             hand_over(hw)

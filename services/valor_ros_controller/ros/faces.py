@@ -139,7 +139,7 @@ class Faces:
             for state in self._joint_states:
                 state.publish(hw)
             self._motion.publish(core.interface.motion_state)
-            self.bypass.update(mode, hw, core.mode_controller.hard_resets)
+            self.bypass.update(mode, hw, core.mode_controller.stops)
         self.bypass.report(measured=measured)
         self._modes.publish(hw.time)
         self._footsteps.publish()
