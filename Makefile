@@ -17,7 +17,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-clients test-quick test-again test-pythons soak reliability fuzz lint docs tables bench gallery robots mutants lock dist clean experiments known-python
+.PHONY: setup demo test test-clients test-quick test-again test-pythons soak reliability fuzz lint style docs tables bench gallery robots mutants lock dist clean experiments known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -82,23 +82,24 @@ endef
 demo: $(STAMP)
 	$(BIN)/valorctl demo
 
-# Everything that must hold: style, types, boundaries, then the tests: those of services and of a robot one after the other;
-# beside them what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even
+# Everything that must hold: style and boundaries, then the tests: those of services and of a robot one after the other;
+# beside them types and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even
 # where PYTHONDONTWRITEBYTECODE is set.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
 # What a robot's users do and bring, and what takes longer: demos, experiments, films, changes by the book, robots of their own,
-# many pushes, stairs, browsers, another DDS, readers of bags, launch files, other computers, and no checkout.
+# many pushes, stairs, browsers, another DDS, readers of bags, launch files, MoveIt, arms on a bus, other computers, and no checkout.
 CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk deployment_document \
   escher_steps experiments getting_up installed late_goals legs_alone link link_ends link_fast operator_commands operator_page \
-  operator_beyond operator_recorded operator_viewers hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
+  operator_beyond operator_recorded operator_viewers hdt_arms hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
   two_robots wheels) valorctl/test_whole_system.py $(patsubst %,vrc/test_%.py,bypass moveit nodes other_dds)) \
-  $(patsubst %,tests/unit/%.py,test_experiment_end_effector test_extending test_film whole_body/test_recovery)
+  $(patsubst %,tests/unit/%.py,robot_setup/test_new_robot test_experiment_end_effector test_extending test_film test_moveit_package \
+  test_valorctl_robots whole_body/test_recovery whole_body/test_robots_walk) tests/bifrost/test_computers.py tests/bifrost/test_growth.py
 ELSEWHERE := $(addprefix --ignore ,$(CLIENTS))
 # Each run in a folder of its own remembers what failed, for test-again.
 REMEMBERED := $(VENV)/pytest
 QUICK := $(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance $(ELSEWHERE)
-test: $(STAMP) lint
-	@$(QUICK) >build/tests.log 2>&1 & rest=$$!; status=0; \
+test: $(STAMP) style
+	@mkdir -p build; { types=0; $(BIN)/mypy || types=1; $(QUICK) && exit $$types; } >build/tests.log 2>&1 & rest=$$!; status=0; \
 	$(PYTEST) -o cache_dir=$(REMEMBERED)/robot tests/integration $(ELSEWHERE) || status=1; \
 	wait $$rest || status=1; \
 	cat build/tests.log; exit $$status
@@ -134,10 +135,13 @@ reliability: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --profile $(PROFILE) --times $(or $(TIMES),5) --minutes $(MINUTES) \
 	  --seed $(or $(SEED),0) --out $(MEASURED) --rows $(ROWS)
 
-lint: $(STAMP)
+lint: style
+	$(BIN)/mypy
+
+# Of lint what takes seconds.
+style: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(DOCS)
 
