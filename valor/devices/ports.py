@@ -15,7 +15,6 @@ import can
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
 from valor.devices import multicast_filter
-from valor.devices.multicast_bus import MulticastBus
 
 _FIRST_PORT = 5500  # UDP; eight for each ROS domain, of which there are 101
 _BUSES = 8
@@ -54,7 +53,13 @@ def open_can(
                 interface=interface, channel=channel, can_filters=filters, fd=True, data_bitrate=data_bit_rate
             )
         block = settings.block
-        opened = MulticastBus(f"239.255.{block}.{bus}", _FIRST_PORT + _BUSES * block + bus)
+        opened = can.Bus(
+            interface="udp_multicast",
+            channel=f"239.255.{block}.{bus}",
+            port=_FIRST_PORT + _BUSES * block + bus,
+            hop_limit=0,
+            fd=True,
+        )
         multicast_filter.attach(opened.fileno(), kinds, mask)
         return opened
     except (can.CanError, can.CanInterfaceNotImplementedError, OSError, ValueError) as error:
