@@ -87,6 +87,18 @@ def test_a_hand_that_presses_on_something_presses_no_more(standing: Robot, force
     assert not servos.pressing.any()
 
 
+def test_what_pushes_a_hand_down_that_presses_in_vain_is_not_held_as_a_load(standing: Robot) -> None:
+    """A spoke above it feels like a weight; held, it would jam the hand for good."""
+    parts = standing.manager.parts
+    standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -30.0))))
+    assert parts.hand_loads.weights[1] > 20.0
+    standing.run(0.3, right_hand_wrench=in_hand(np.array((-100.0, 0.0, -30.0))))
+    assert parts.hand_loads.resisted[1] > 60.0
+    assert parts.hand_loads.weights == [0.0, 0.0]
+    assert not parts.servos.load.any()
+    standing.run(0.5)
+
+
 @given(numbers=st.tuples(*[SMALL] * 9))
 def test_a_goal_in_odom_moves_in_the_pelvis_frame_as_the_pelvis_does(
     standing: Robot, numbers: tuple[float, ...]

@@ -91,6 +91,8 @@ class HandLoads:
         """Note with what a hand presses [N]."""
         since = self._too_hard[side] = min(self._too_hard[side], now) if pressed > self._most else np.inf
         self.resisted[side] = pressed if now - since >= RESISTED else 0.0
+        if self.resisted[side]:  # what pushes it down is no weight, perhaps, and is not to be pushed back
+            self.weights[side] = 0.0
 
 
 def _pressed(force: FloatArray) -> float:
