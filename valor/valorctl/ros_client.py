@@ -21,7 +21,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 
 _SERVER_TIMEOUT = 10.0  # until an action server is discovered [s]
-_RESPONSE_TIMEOUT = 5.0  # until it accepts or refuses a goal [s]
+_RESPONSE_TIMEOUT = 20.0  # until it accepts or refuses a goal, on a computer however busy [s]
 _CANCEL_TIMEOUT = 2.0  # until it acknowledges that a goal is cancelled [s]
 _DIAGNOSTICS_AGE = 0.5  # at most, of what they tell when they come [s]
 _DIAGNOSTICS_TIMEOUT = 3.0  # they come once a second [s]
