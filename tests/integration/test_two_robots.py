@@ -8,15 +8,18 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 
 from harness.system import RosClient, System, running
 from harness.waiting import wait_until
-from tests.integration.vrc.vrc_system import FORWARD, HOME, SUCCESSFUL, Topic, ask, go
+from tests.integration.vrc.vrc_system import FORWARD, HOME, ROBOT, SUCCESSFUL, Topic, ask, go
 from valor.common.instance import Instance, Settings
 from valor.common.poses import Pose
 from valor.common.transforms import TransformBuffer, TransformError
+from valor.moveit import package
 
 NAMESPACES = ("escher1", "lab/escher2")
 PATIENCE = 120.0  # [s]
@@ -134,6 +137,44 @@ def test_tf_is_one_tree_of_both(clients: list[RosClient]) -> None:
     for client, namespace in zip(clients, NAMESPACES, strict=True):
         message = heard_on(client, Odometry, "odom")
         assert (message.header.frame_id, message.child_frame_id) == (f"{namespace}/odom", f"{namespace}/base_link")
+
+
+def test_moveits_configuration_for_a_namespace_fits_the_robot_in_it(clients: list[RosClient], tmp_path: Path) -> None:
+    """Its frames are tf's, and its controllers' actions are where a node in the namespace looks for them."""
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionClient
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from tf2_msgs.msg import TFMessage
+
+    client, name = clients[1], NAMESPACES[1]
+    (folder := tmp_path / "mine").mkdir()
+    package.write(ROBOT, folder, lambda _: None, 10, namespace=name)
+    config = folder / "config"
+    (place,) = ElementTree.parse(config / "escher.srdf").findall("virtual_joint")
+    links = {each.get("name", "") for each in ElementTree.parse(config / "escher.urdf").findall("link")}
+    wanted = {each for each in links if not each.endswith("_hinge")} | {place.get("parent_frame", "")}
+    heard = deque[Any]()
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    listening = [
+        client.node.create_subscription(TFMessage, "/tf", keep(heard), 100),
+        client.node.create_subscription(TFMessage, "/tf_static", keep(heard), latched),
+    ]
+
+    def frames() -> set[str]:
+        return {
+            frame for each in list(heard) for t in each.transforms for frame in (t.header.frame_id, t.child_frame_id)
+        }
+
+    wait_until(lambda: wanted <= frames(), PATIENCE, "the frames of the configuration")
+    for subscription in listening:
+        client.destroy(client.node.destroy_subscription, subscription)
+    assert f"{name}/base_link" in wanted and all(each.startswith(f"{name}/") for each in wanted)
+    manager = yaml.safe_load((config / "moveit_controllers.yaml").read_text())["moveit_simple_controller_manager"]
+    actions = {each: f"{each}/{manager[each]['action_ns']}" for each in manager["controller_names"]}
+    servers = {each: ActionClient(client.node, FollowJointTrajectory, action) for each, action in actions.items()}
+    for each, server in servers.items():
+        assert server.wait_for_server(PATIENCE), actions[each]
+        client._call(server.destroy)
 
 
 def test_verbs_plans_diagnostics_and_parameters_are_of_the_robot_that_is_meant(

@@ -34,10 +34,10 @@ REASONS = {"Adjacent", "Always", "Default", "Never", "User"}  # what the setup a
 class Package:
     """One that was written, as its readers see it."""
 
-    def __init__(self, robot: RobotDescription, folder: Path, samples: int) -> None:
+    def __init__(self, robot: RobotDescription, folder: Path, samples: int, namespace: str = "") -> None:
         self.robot, self.folder = robot, folder
         folder.mkdir(parents=True)
-        self.made = package.write(robot, folder, lambda _: None, samples)
+        self.made = package.write(robot, folder, lambda _: None, samples, namespace=namespace)
         self.urdf = ElementTree.fromstring((folder / "config" / f"{robot.name}.urdf").read_text())
         self.srdf = ElementTree.fromstring((folder / "config" / f"{robot.name}.srdf").read_text().encode())
         self.links = {link.get("name", "") for link in self.urdf.iter("link")}
@@ -214,7 +214,31 @@ def test_it_is_a_package(written: Package) -> None:
     assert yaml.safe_load((folder / "config" / "moveit.rviz").read_text())["Visualization Manager"]
     for file in folder.rglob("*"):
         if file.is_file() and file.suffix != ".stl":
-            assert not re.search(r"\$(package|robot|frame)\b", file.read_text()), file
+            assert not re.search(r"\$(package|robot|frame|namespace)\b", file.read_text()), file
+
+
+def test_in_a_namespace_frames_have_its_prefix_and_all_else_is_the_same(tmp_path: Path) -> None:
+    robot, space = RobotDescription.load(ROBOTS / "escher"), "lab/escher1"
+    alone, inside = (Package(robot, tmp_path / each / "mine", 10, each.strip("_")) for each in ("_", space))
+    assert inside.links == {f"{space}/{link}" for link in alone.links}
+    assert set(inside.joints) == set(alone.joints), "joint states have no prefix"
+    (joint,) = inside.srdf.findall("virtual_joint")
+    assert (joint.get("parent_frame"), joint.get("child_link")) == (f"{space}/odom", f"{space}/base_link")
+    named = {each for element in inside.srdf.iter() for key, each in element.items() if "link" in key}
+    assert named and named <= inside.links
+    for group in alone.srdf.findall("group"):
+        joints, links = alone.group(name := group.get("name", ""))
+        assert inside.group(name) == (joints, {f"{space}/{link}" for link in links})
+    for file in (file for file in alone.folder.rglob("*") if file.is_file()):
+        there = (inside.folder / file.relative_to(alone.folder)).read_text()
+        if file.suffix in (".urdf", ".srdf"):
+            there = there.replace(f'"{space}/', '"')
+        assert there.replace(f"/{space}", "").replace(f"{space}/", "") == file.read_text(), file
+    for launched in (inside.folder / "launch").iterdir():
+        assert f'NAMESPACE = "/{space}"' in launched.read_text()
+    rviz = yaml.safe_load((inside.folder / "config" / "moveit.rviz").read_text())["Visualization Manager"]
+    assert rviz["Global Options"]["Fixed Frame"] == f"{space}/odom"
+    assert [each.get("Move Group Namespace") for each in rviz["Displays"]] == [None, f"/{space}"]
 
 
 def test_meshes_go_with_it(tmp_path: Path) -> None:
@@ -273,8 +297,12 @@ def test_what_is_in_the_way_stays(
     assert "this one has no .setup_assistant" in capsys.readouterr().err
     assert run(monkeypatch, "escher", "--out", "My-Robot") == 1
     assert "package 'My-Robot': expected lower-case letters" in capsys.readouterr().err
+    assert run(monkeypatch, "escher", "--namespace", "2nd") == 1
+    assert "namespace '2nd': expected letters" in capsys.readouterr().err
+    assert run(monkeypatch, "escher", "--namespace", "/lab/one") == 0
+    assert "ros2 launch lab_one_moveit_config move_group.launch.py" in capsys.readouterr().out
     assert run(monkeypatch, "eschar") == 1 and "escher" in capsys.readouterr().err
-    assert sorted(each.name for each in here.iterdir()) == ["escher_moveit_config", "other"]
+    assert sorted(each.name for each in here.iterdir()) == ["escher_moveit_config", "lab_one_moveit_config", "other"]
 
 
 def pair(element: ElementTree.Element) -> tuple[str, ...]:

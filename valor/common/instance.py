@@ -50,6 +50,11 @@ def ros_namespace(text: str) -> str:
     return name
 
 
+def frame_prefix(namespace: str) -> str:
+    """What the names in tf of a robot's frames begin with."""
+    return f"{namespace}/" if namespace else ""
+
+
 class Recording(Table):
     """What the recorder keeps, and in which pieces."""
 
@@ -156,7 +161,7 @@ class Settings(Table, kw_only=True):
     @property
     def frame_prefix(self) -> str:
         """What the names of the robot's frames in tf begin with."""
-        return f"{self.namespace}/" if self.namespace else ""
+        return frame_prefix(self.namespace)
 
     @property
     def ros_arguments(self) -> tuple[str, ...]:

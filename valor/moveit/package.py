@@ -16,8 +16,10 @@ from typing import Any
 import yaml
 
 from valor.common.errors import ConfigurationError
+from valor.common.instance import frame_prefix
 from valor.moveit import parameters
 from valor.moveit.collisions import Collisions, disabled_collisions
+from valor.moveit.frames import prefixed
 from valor.moveit.groups import Group, groups
 from valor.moveit.srdf import ODOM, srdf
 from valor.robot.description import RobotDescription
@@ -48,9 +50,9 @@ class Configuration:
     meshes: int
 
 
-def usual_name(robot: RobotDescription) -> str:
-    """Of a robot's package, where nobody wants another."""
-    return re.sub(r"[^a-z0-9]+", "_", robot.name.lower()).strip("_") + "_moveit_config"
+def usual_name(robot: RobotDescription, namespace: str = "") -> str:
+    """Of a robot's package, where nobody wants another; of one in a namespace by that."""
+    return re.sub(r"[^a-z0-9]+", "_", (namespace or robot.name).lower()).strip("_") + "_moveit_config"
 
 
 def require_name(name: str) -> None:
@@ -60,7 +62,7 @@ def require_name(name: str) -> None:
         raise ConfigurationError(f"package {name!r}: {what}: ROS looks for packages by such names")
 
 
-def write(robot: RobotDescription, folder: Path, tell: Tell, samples: int) -> Configuration:
+def write(robot: RobotDescription, folder: Path, tell: Tell, samples: int, *, namespace: str = "") -> Configuration:
     """Write the package.
 
     Args:
@@ -68,6 +70,7 @@ def write(robot: RobotDescription, folder: Path, tell: Tell, samples: int) -> Co
         folder: an empty one; its name is the package's.
         tell: what is being done.
         samples: random configurations in which links are looked for that never touch.
+        namespace: in which the robot's nodes are, and by which its frames are prefixed; empty: none.
 
     Raises:
         ConfigurationError: the robot's model cannot be read, or the folder's name is none for a package.
@@ -85,9 +88,10 @@ def write(robot: RobotDescription, folder: Path, tell: Tell, samples: int) -> Co
     tell(f"writing {package}")
     config = folder / "config"
     config.mkdir()
-    (config / f"{robot.name}.urdf").write_text(tree.urdf, encoding="utf-8")
+    prefix = frame_prefix(namespace)
     semantic = srdf(robot, tree.base_frame, limbs, collisions, disabled)
-    (config / f"{robot.name}.srdf").write_text(semantic, encoding="utf-8")
+    for kind, description in (("urdf", tree.urdf), ("srdf", semantic)):
+        (config / f"{robot.name}.{kind}").write_text(prefixed(description, prefix), encoding="utf-8")
     tables: dict[str, dict[str, Any]] = {
         "joint_limits": parameters.joint_limits(robot),
         "kinematics": parameters.kinematics(limbs),
@@ -97,7 +101,7 @@ def write(robot: RobotDescription, folder: Path, tell: Tell, samples: int) -> Co
     for name, table in tables.items():
         (config / f"{name}.yaml").write_text(yaml.safe_dump(table, sort_keys=False), encoding="utf-8")
     meshes.copy(folder / "meshes")
-    _fill(folder, package=package, robot=robot.name, frame=ODOM)
+    _fill(folder, package=package, robot=robot.name, frame=prefix + ODOM, namespace=namespace and f"/{namespace}")
     links = len(collisions.links)
     return Configuration(limbs, links * (links - 1) // 2, len(disabled), len(meshes.files))
 

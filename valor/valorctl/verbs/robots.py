@@ -132,12 +132,13 @@ def moveit(
     named: Named,
     *,
     out: Annotated[Path | None, typer.Option(help="The package; NAME_moveit_config, here, unless given.")] = None,
+    namespace: Annotated[str, typer.Option(metavar="NAME", help="In which the robot is up; none unless given.")] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace a configuration that is there.")] = False,
 ) -> None:
     """Make a robot's MoveIt configuration, a ROS package: SRDF, limits, controllers, kinematics, URDF and meshes."""
     from valor.valorctl import moveit_package, robot_check
 
-    moveit_package.make(robot_check.require_sound(robot_folder(named)), out, replace=force)
+    moveit_package.make(robot_check.require_sound(robot_folder(named)), out, namespace=namespace, replace=force)
 
 
 @robot.callback()
