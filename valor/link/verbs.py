@@ -10,7 +10,7 @@ import msgspec
 from valor.common.processes import BY_NAME
 from valor.link.errors import SealError
 
-LONGEST = 8000  # of what is said to one, as it travels: some 40 s of what states leave [B]
+LONGEST = 4000  # of what is said to one, as it travels: about a minute of what states leave [B]
 _BOUND = 1 << 20  # of it, inflated [B]
 _DICTIONARY = (
     "".join(
