@@ -1,7 +1,7 @@
 """ESCHER stands, reaches and is pushed: the whole system, as a person and a ROS 2 client meet it.
 
 The plant's masses are 5 % off the controller's model, sensors are noisy, torques late (profile ``hardware``), in both
-clocks and from three seeds.
+clocks, each from a seed of its own.
 """
 
 from __future__ import annotations
@@ -40,14 +40,10 @@ SERVICES = {
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS = 0, -1, -2
 MODE_ACCEPTED, MODE_REJECTED, EXTERNAL_CHANGE = 1, 2, 32
 
-CASES = [
-    # clock, seed, seconds of Stand
-    ("lockstep", 0, 10.0),
-    ("realtime", 1, 5.0),
-    ("realtime", 2, 10.0),
-]
+CASES = [("lockstep", 0), ("realtime", 1)]  # clock, seed
+STAND = 10.0  # [s]
 SETTLED = 300  # samples of the truth, at 100 Hz, after which the robot is where its controller wants it
-PUSHES = {0: ("15", "0", "0"), 1: ("-15", "0", "0"), 2: ("0", "15", "0")}  # by seed [N·s]
+PUSHES = {0: (("15", "0", "0"),), 1: (("-15", "0", "0"), ("0", "15", "0"))}  # by seed [N·s]
 
 
 @dataclass
@@ -60,7 +56,6 @@ class Case:
     node: bifrost.Node
     robot: RobotDescription
     seed: int
-    stand_time: float
 
     def watch(self, seconds: float) -> tuple[list[MotionState], list[Proprioceptor], list[GroundTruth]]:
         """All that is published in a stretch of robot time [s]."""
@@ -91,7 +86,7 @@ class Case:
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: f"{case[0]}-seed{case[1]}")
 def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Case]:
-    clock, seed, stand_time = request.param
+    clock, seed = request.param
     home = tmp_path_factory.mktemp("v")
     before = shared_memory()
     options = ("--clock", clock, "--seed", str(seed), "--actuators", "hardware")
@@ -100,7 +95,7 @@ def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         instance = Instance(system.name, home)
         network = bifrost.Network.load(instance.network_file, instance.keys)
         with bifrost.Node("acceptance", network=network) as node:
-            yield Case(system, home, ros, node, RobotDescription.load(instance.settings().robot), seed, stand_time)
+            yield Case(system, home, ros, node, RobotDescription.load(instance.settings().robot), seed)
         ros.close()
     assert leftovers(home, system.name, before) == []
 
@@ -115,7 +110,7 @@ def test_every_service_is_ready_and_the_robot_stands(case: Case) -> None:
 
 
 def test_stands_still(case: Case) -> None:
-    states, senses, truths = case.watch(case.stand_time)
+    states, senses, truths = case.watch(STAND)
     assert {state.behavior for state in states} == {"stand"}
     estimated = np.array([state.pelvis_position_in_odom[2] for state in states])
     true = np.array([truth.pelvis_position_in_world for truth in truths])
@@ -202,11 +197,12 @@ def test_arm_and_neck_goals_succeed(case: Case) -> None:
 def test_a_small_push_does_not_topple_it(case: Case) -> None:
     status = case.ros.change_mode("stand")
     assert status.status == MODE_ACCEPTED and status.current_control_mode == "stand"
-    case.system.valorctl("push", *PUSHES[case.seed])
-    states, _, _ = case.watch(4.0)
-    assert {state.behavior for state in states} == {"stand"}
-    speed = np.abs([state.pelvis_linear_velocity_in_odom for state in states[-250:]])
-    assert speed.max() < 0.1
+    for push in PUSHES[case.seed]:
+        case.system.valorctl("push", *push)
+        states, _, _ = case.watch(4.0)
+        assert {state.behavior for state in states} == {"stand"}
+        speed = np.abs([state.pelvis_linear_velocity_in_odom for state in states[-250:]])
+        assert speed.max() < 0.1
 
 
 def test_a_large_push_does_and_ros_hears_of_it(case: Case) -> None:
