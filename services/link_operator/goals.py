@@ -11,7 +11,6 @@ from typing import Any
 from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import CancelResponse
-from rclpy.node import Node
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 from vigir_humanoid_control_msgs.action import ChangeControlMode
@@ -22,7 +21,8 @@ from valor.link.end import End
 from valor.link.errors import SealError
 from valor.link_operator.fates import Fates
 from valor.ros.deferred_action_server import DeferredActionServer
-from valor.ros.relayed import ACTIONS, Deflated, Word, worded
+from valor.ros.node import ProcessNode
+from valor.ros.relayed import ACTIONS, Action, Deflated, Word, worded
 
 _TOLD = {"succeed": "succeeded", "canceled": "canceled", "abort": "aborted"}
 _STATES = {GoalStatus.STATUS_SUCCEEDED: "succeed", GoalStatus.STATUS_CANCELED: "canceled"}
@@ -56,14 +56,21 @@ REFUSED: Mapping[Any, Callable[[str], Any]] = {
 class Goals:
     """Goals under way. From the thread that spins the node."""
 
-    def __init__(self, node: Node, end: End, deflated: Deflated, fates: Fates) -> None:
+    def __init__(self, node: ProcessNode, end: End, deflated: Deflated, fates: Fates) -> None:
         self._end, self._deflated, self._fates = end, deflated, fates
         self._open: dict[int, tuple[int, Any]] = {}  # by the link's id: place in ACTIONS, handle
         self._let_go: set[int] = set()  # that ended here, and might be accepted there yet
         self._servers = [
-            DeferredActionServer(node, each.type, each.name, partial(self._sent, place), self._cancel)
+            DeferredActionServer(
+                node, each.type, each.name, partial(self._sent, place), self._cancel,
+                late=partial(self._late, each) if node.others else None,
+            )
             for place, each in enumerate(ACTIONS)
-        ]
+        ]  # fmt: skip
+
+    def _late(self, action: Action, why: str) -> Any:
+        self._fates.unsent(action.name, why)
+        return REFUSED[action.type](why)
 
     def _sent(self, place: int, handle: Any) -> None:
         content = worded(Word.GOAL, place, self._deflated.pack(handle.request))

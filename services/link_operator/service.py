@@ -29,6 +29,7 @@ from valor.link_operator.progress import Progress
 from valor.link_operator.republisher import LATCHED, Republisher
 from valor.link_operator.status import status
 from valor.link_operator.things import Things
+from valor.ros.lateness import Info, timely
 from valor.ros.link_loop import serve
 from valor.ros.node import ProcessNode, RosSide
 from valor.ros.relayed import COMMANDS, Command, Deflated, Word, kind_of, read, worded
@@ -58,7 +59,7 @@ class LinkOperator:
         joined = session(context.instance, context.name, context.robot)
         theirs = structs.replace(settings, ros_domain_id=settings.link.domain)
         environment = context.instance.environment()
-        knowing = partial(ProcessNode, knows_time=True)
+        knowing = partial(ProcessNode, knows_time=True, others=bool(settings.peers))
         self._side = RosSide(context.name, theirs, environment, context.arguments, node=knowing)
         node, self._layout = self._side.node, Layout(context.robot)
         self._end = OperatorEnd(joined, self._layout, time.monotonic(), fast=True)
@@ -75,7 +76,8 @@ class LinkOperator:
         self._rejections = node.create_publisher(Rejection, "flor/controller/rejection", KEPT)
         self._status = node.create_publisher(DiagnosticStatus, "link/status", LATCHED)
         for place, command in enumerate(COMMANDS):
-            node.create_subscription(command.type, command.name, partial(self._send, place, command), 10)
+            obeyed = timely(command.name, partial(self._send, place, command), others=node.others)
+            node.create_subscription(command.type, command.name, obeyed, 10)
         self._published, self._shown, self._told = -1, (0, 0.0), 0.0
         self._time = 0
         self._side.life.configured()
@@ -108,7 +110,7 @@ class LinkOperator:
             told = self._fates.lines(now) | self._things.values(now)
             self._status.publish(status(self._end, self._layout, self._link, now, told))
 
-    def _send(self, place: int, command: Command, message: Any) -> None:
+    def _send(self, place: int, command: Command, message: Any, _info: Info) -> None:
         content = worded(Word.TOPIC, place, self._deflated.pack(message))
         kind, now = kind_of(command, message), time.monotonic()
         try:

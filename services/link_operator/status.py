@@ -39,6 +39,7 @@ def status(end: OperatorEnd, layout: Layout, link: Link, now: float, fates: Mapp
         "state_age": f"{age:.3f}", "stamp": f"{1e-3 * state.stamp:.3f}",
         "mode": state.mode, "mode_age": f"{state.mode_age + age:.3f}",
         "behavior": state.behavior, "behavior_age": f"{state.behavior_age + age:.3f}",
+        "velocity_age": f"{state.velocity_age + age:.3f}",
         "step": str(state.step), "beyond_range": " ".join(clamped), "fast_channel": str(end.fast(now)).lower(),
         **fates, "states": str(end.states),
         "when_lost": link.when_lost, "lost_after": f"{link.lost_after:g}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from functools import partial
 from typing import Any
@@ -25,7 +26,11 @@ _log = logging.getLogger("link_robot")
 
 
 class Obedience:
-    """Publishes and sends goals, from the thread that spins the node: nothing waits between link and ROS."""
+    """Publishes and sends goals, from the thread that spins the node: nothing waits between link and ROS.
+
+    Attributes:
+        streamed: when the newest velocity of this session was published, monotonic [s]; −inf: none was.
+    """
 
     def __init__(self, node: Node, end: End, robot: RobotDescription) -> None:
         self._end, self._verbs = end, Verbs(end)
@@ -35,6 +40,7 @@ class Obedience:
         self._goals: dict[int, Any] = {}
         self._canceled: set[int] = set()  # before they were accepted
         self._session = 0
+        self.streamed = -math.inf
 
     def turn(self, now: float) -> None:
         """Say what has ended; ``now``: monotonic [s]."""
@@ -43,6 +49,7 @@ class Obedience:
     def begin(self) -> None:
         """Another session: goals that run go on, but nobody asks for what becomes of them."""
         self._session += 1
+        self.streamed = -math.inf
         self._goals.clear()
         self._canceled.clear()
 
@@ -55,7 +62,9 @@ class Obedience:
                 self._answer(Word.REFUSED, arrived.id, arrived.refused.encode())
             elif word is Word.TOPIC:
                 self._publish(number, content)
-                if arrived.kind is not Kind.STREAM:
+                if arrived.kind is Kind.STREAM:
+                    self.streamed = time.monotonic()
+                else:
                     self._answer(Word.ACCEPTED, arrived.id)
             elif word is Word.GOAL:
                 self._begin(arrived.id, number, content)

@@ -13,6 +13,7 @@ from valor.link.end import Arrived, Began
 from valor.link.ends import RobotEnd
 from valor.link.fields import Layout
 from valor.link.joining import session
+from valor.link.state import RobotState
 from valor.link_robot.obedience import Obedience
 from valor.link_robot.observer import Observer
 from valor.link_robot.reporter import Reporter
@@ -41,7 +42,7 @@ class LinkRobot:
         self._side = RosSide(context.name, context.settings, environment, context.arguments)
         self._observer = Observer(self._side.node, context.robot)
         layout = Layout(context.robot)
-        self._end = RobotEnd(joined, layout, self._observer.state, time.monotonic(), fast=True)
+        self._end = RobotEnd(joined, layout, self._state, time.monotonic(), fast=True)
         own = [(self._settings.listen, port) for port in robot_ports(context.settings)]
         self._view = View(self._side.node, self._end, self._settings.picture)
         self._shelf = RobotShelf(context.instance.bags, self._view.newest)
@@ -55,6 +56,11 @@ class LinkRobot:
     def run(self) -> None:
         """Serve until told to stop."""
         serve(self._context, self._side, self._end, self._carrier, self._turn)
+
+    def _state(self) -> RobotState | None:
+        if (state := self._observer.state()) is not None:
+            state.velocity_age = time.monotonic() - self._obedience.streamed
+        return state
 
     def _turn(self, now: float) -> None:
         for event in self._end.events():

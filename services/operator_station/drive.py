@@ -17,6 +17,7 @@ from valor.operator_station.pad import DIRECTIONS, Pad
 from valor.operator_station.parts import Parts
 
 SEND = 0.1  # between velocities [s]
+SHOWN = 10.0  # so long is the age of the last velocity told [s]
 
 
 class Drive:
@@ -35,7 +36,7 @@ class Drive:
         with gui.add_folder("Control mode"):
             self._buttons = ModeButtons(gui, modes, lambda name: desk.taking(self._changing(name)))
         with gui.add_folder("Walking pad (hold)"):
-            self._why_no_walk = gui.add_markdown("")
+            self._about_pad = gui.add_markdown("")
             speed = gui.add_slider("speed", 0.1, 1.0, 0.1, self.pad.speed)
             speed.on_update(desk.taking(lambda visit: self._set_speed(float(speed.value))))
             for direction in DIRECTIONS:
@@ -55,14 +56,18 @@ class Drive:
             self._told.content = line
         mode = self._heard.mode
         self._buttons.show(mode, self._heard.states.get("behavior", ""))
-        walking = mode.current in WALKING_MODES
-        text = (
-            ""
-            if walking
-            else f"in control mode {' or '.join(sorted(WALKING_MODES))}; it is {mode.current or 'not known'}"
-        )
-        if self._why_no_walk.content != text:
-            self._why_no_walk.content = text
+        if self._about_pad.content != (text := self._pad_text()):
+            self._about_pad.content = text
+
+    def _pad_text(self) -> str:
+        """Why the pad does nothing; else, behind the link, whether velocities come through, which nothing answers."""
+        heard = self._heard
+        if heard.mode.current not in WALKING_MODES:
+            return f"in control mode {' or '.join(sorted(WALKING_MODES))}; it is {heard.mode.current or 'not known'}"
+        if heard.link is None:
+            return ""
+        age = heard.ages.age("velocity", time.monotonic())
+        return f"a velocity came through {age:.1f} s ago" if age < SHOWN else "no velocity has come through lately"
 
     def turn(self, now: float) -> None:
         """Send what is held; ``now``: monotonic [s]."""

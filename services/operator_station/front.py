@@ -72,7 +72,7 @@ class Front:
         ages, states = heard.ages, heard.states
         linked = heard.link is not None
         level, status = heard.status
-        mode_color = GREY if ages.age("mode", now) > 1.5 else BLACK  # told once a second
+        mode_color = GREY if ages.old("mode", now) else BLACK
         lines = [
             f'<b style="font-size:17px;color:{mode_color}">{_text(heard.mode.current or "control mode not known")}</b> '
             f'<span style="color:{_LEVELS[min(level, 3)]}">{_text(status)}</span>',
@@ -83,7 +83,7 @@ class Front:
             ),
             f"<b>{_text(self._who())}</b>",
             " · ".join(
-                _colored(f"{label} {ages.text(name, now)}", ages.age(name, now) > (1.5 if name == "mode" else 0.5))
+                _colored(f"{label} {ages.text(name, now)}", ages.old(name, now))
                 for name, label in SHOWN.items()
                 if not (linked and name == "com")  # the link does not carry it
             ),

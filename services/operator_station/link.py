@@ -11,7 +11,7 @@ from valor.ros.limbs import FEET
 AGES = {
     "joints": "state_age", "pelvis": "state_age", **dict.fromkeys(FEET, "state_age"),
     "status": "state_age", "motion": "behavior_age", "mode": "mode_age",
-    "picture": "picture_age",
+    "picture": "picture_age", "velocity": "velocity_age",
 }  # fmt: skip
 """Of what the page shows, by whose value in ``/link/status`` it is known how old it is: an upper bound."""
 COMMANDS = ("last_command", "command_2", "command_3")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import math
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from action_msgs.msg import GoalStatus
+from sensor_msgs.msg import JointState
+from vigir_humanoid_control_msgs.action import ChangeControlMode
 
 import bifrost
 from harness.instance import RunningInstance
@@ -21,11 +26,14 @@ from valor.common import membership
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ModeStatus
-from valor.common.stopping import HALT
+from valor.common.stopping import HALT, LOCK
 from valor.common.table import checked
+from valor.common.viewing import LOOPBACK
 from valor.link.classes import BY_KIND, Kind
+from valor.link.fields import BY_NAME
 from valor.robot.description import RobotDescription
-from valor.valorctl import beyond_link
+from valor.ros.lateness import LATE
+from valor.valorctl import beyond_link, middleware
 from valor.valorctl.ros_domain import daemon_ports, reserve, reserve_for
 
 MODES = "mode_controllers/control_mode_controller/change_control_mode"
@@ -49,8 +57,6 @@ class Robot:
             self.under_way.discard(id(handle))
 
     def _execute(self, handle: Any) -> Any:
-        from vigir_humanoid_control_msgs.action import ChangeControlMode
-
         self.asked.append(handle.request.mode_request)
         result = ChangeControlMode.Result()
         wait_until(lambda: self.ends.is_set() or handle.is_cancel_requested, PATIENCE, "to be told how the goal ends")
@@ -72,7 +78,8 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RunningI
     with reserve_for(made) as reservation, reserve("link_ends_operator", {reservation.domain}) as theirs:
         settings = {"robot": str(ROBOTS / "escher"), "ros_domain_id": reservation.domain,
                     "port_block": reservation.domain, "link": {"domain": theirs.domain}}  # fmt: skip
-        made.settings_file.write_text(checked(Settings, settings).json())
+        made.settings_file.write_text(checked(Settings, settings | {"peers": [LOOPBACK]}).json())
+        made.middleware_file.write_text(middleware.profile([LOOPBACK]))  # as where other computers command
         network = bifrost.Network.create(
             made.network_file, made.keys, ports=daemon_ports(reservation.domain), charter=membership.charter(made)
         )
@@ -91,7 +98,6 @@ def sides(running: tuple[RunningInstance, int]) -> Iterator[tuple[Robot, RosClie
     import rclpy
     from rclpy.action import ActionServer, CancelResponse
     from rclpy.executors import MultiThreadedExecutor
-    from vigir_humanoid_control_msgs.action import ChangeControlMode
 
     instance, domain = running
     environment = instance.instance.environment()
@@ -129,8 +135,6 @@ def sides(running: tuple[RunningInstance, int]) -> Iterator[tuple[Robot, RosClie
 
 def _goal(operator: RosClient, mode: str) -> Any:
     """The handle of a goal."""
-    from vigir_humanoid_control_msgs.action import ChangeControlMode
-
     client = operator._mode
     assert client.wait_for_server(timeout_sec=PATIENCE)
     goal = ChangeControlMode.Goal(mode_request=mode)
@@ -179,9 +183,56 @@ def test_a_goal_ends_at_the_operators_as_at_the_robots(sides: tuple[Robot, RosCl
     robot.ends.clear()
 
 
-def test_a_cancellation_goes_through_it(sides: tuple[Robot, RosClient, RosClient]) -> None:
-    from action_msgs.msg import GoalStatus
+def test_a_goal_that_came_late_to_the_operators_end_is_refused_there(
+    running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient]
+) -> None:
+    robot, _, operator = sides
+    asked, told = len(robot.asked), _told(operator)
+    process = running[0].process("link_operator")
+    process.send_signal(signal.SIGSTOP)
+    sent = operator._call(operator._mode.send_goal_async, ChangeControlMode.Goal(mode_request="late"))
+    time.sleep(LATE + 0.5)  # the time on its way itself
+    process.send_signal(signal.SIGCONT)
+    handle = operator._wait(sent, PATIENCE, "the goal to be answered")
+    ended = operator._wait(operator._call(handle.get_result_async), PATIENCE, "the goal to end")
+    assert ended.status == GoalStatus.STATUS_ABORTED and ended.result.result.status & ModeStatus.MODE_REJECTED
+    wait_until(lambda: any("s after it was sent" in each for each in _commands(told)), PATIENCE, "that it came late")
+    assert len(robot.asked) == asked
 
+
+def test_how_long_ago_a_velocity_came_through_is_told(sides: tuple[Robot, RosClient, RosClient]) -> None:
+    from geometry_msgs.msg import Twist
+
+    _, beside, operator = sides
+    velocities: list[Any] = []
+    beside._call(beside.node.create_subscription, Twist, "cmd_vel", velocities.append, 10)
+    joints = RobotDescription.load(ROBOTS / "escher").joints
+    states = beside._call(beside.node.create_publisher, JointState, "joint_states", 10)
+    still = JointState(name=list(joints), position=[0.0] * len(joints))
+    timer = beside._call(beside.node.create_timer, 0.1, lambda: states.publish(still))
+    told = _told(operator)
+    wait_until(lambda: _age(told) == math.inf, PATIENCE, "none to have come")
+    publisher = operator._call(operator.node.create_publisher, Twist, "cmd_vel", 1)
+    wait_until(publisher.get_subscription_count, PATIENCE, "the link to listen")
+
+    def comes() -> bool:
+        """One that comes in time, before all have found each other or not, is told of."""
+        publisher.publish(Twist())
+        return _age(told) < BY_NAME["velocity_age"].high
+
+    wait_until(comes, PATIENCE, "a velocity to come through", period=0.1)
+    wait_until(lambda: velocities or comes() is None, PATIENCE, "it to be published", period=0.1)
+    wait_until(lambda: _age(told) == math.inf, PATIENCE, "the last to be long ago")
+    beside.destroy(beside.node.destroy_timer, timer)
+
+
+def _age(told: list[Any]) -> float:
+    """Of the newest velocity that came through, as told [s]; −1: not told."""
+    values = {pair.key: pair.value for pair in told[-1].values} if told else {}
+    return float(values.get("velocity_age", -1.0))
+
+
+def test_a_cancellation_goes_through_it(sides: tuple[Robot, RosClient, RosClient]) -> None:
     robot, _, operator = sides
     handle = _goal(operator, "step")
     wait_until(lambda: "step" in robot.asked, PATIENCE, "the goal to begin")
@@ -270,7 +321,6 @@ def test_verbs_on_the_operators_side_see_and_stop_the_robot(
     running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient], tmp_path: Path
 ) -> None:
     from rclpy.qos import DurabilityPolicy, QoSProfile
-    from sensor_msgs.msg import JointState
     from std_msgs.msg import Empty
     from valor_msgs.msg import MotionState
     from vigir_humanoid_control_msgs.msg import ControlModeStatus
@@ -279,7 +329,7 @@ def test_verbs_on_the_operators_side_see_and_stop_the_robot(
     desk.folder.mkdir(parents=True)
     desk.settings_file.write_text(Settings(robot=ROBOTS / "escher", ros_domain_id=running[1]).json())
     joints = RobotDescription.load(ROBOTS / "escher").joints
-    _, beside, _ = sides
+    robot, beside, _ = sides
     stops: list[Any] = []
     beside._call(beside.node.create_subscription, Empty, "flor/controller/soft_stop", stops.append, 10)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -291,7 +341,7 @@ def test_verbs_on_the_operators_side_see_and_stop_the_robot(
 
     def tell() -> None:
         """As a robot that stands until it is stopped."""
-        state = "soft_stop" if stops else "stand"
+        state = "freeze" if "freeze" in robot.asked else "soft_stop" if stops else "stand"
         messages = (JointState(name=list(joints), position=[0.25] * len(joints)), MotionState(behavior=state),
                     ControlModeStatus(current_control_mode=state))  # fmt: skip
         for publisher, message in zip(publishers, messages, strict=True):
@@ -324,6 +374,16 @@ def test_verbs_on_the_operators_side_see_and_stop_the_robot(
 
     wait_until(stopped, PATIENCE, "the robot's word that it has stopped")
     assert stops
+    robot.ends.set()
+
+    def locked() -> bool:
+        """As ``valorctl stop --freeze``."""
+        told = asked(lambda: beyond_link.stop(desk, LOCK, lambda: None))
+        return bool(told and told[0] == "freeze" and told[3][0].answer == "control mode freeze")
+
+    wait_until(locked, PATIENCE, "the robot's word that its joints are locked")
+    assert robot.asked.count("freeze") >= 1
+    robot.ends.clear()
     beside.destroy(beside.node.destroy_timer, timer)
 
 

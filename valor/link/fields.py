@@ -57,6 +57,7 @@ FIELDS: tuple[Field, ...] = (
     Field("mode_age",            1,  0,         12.8,    0.05,   "s",   "ages",     "since the mode was last heard"),
     Field("behavior",            1,  0, len(BEHAVIORS) - 1, 1,   "",    "status",   "of the Motion Manager"),
     Field("behavior_age",        1,  0,         12.8,    0.05,   "s",   "ages",     "since it was last heard"),
+    Field("velocity_age",        1,  0,         3.0,     0.2,    "s",   "ages",     "since the robot's end passed a velocity on; the greatest: that, or more"),
     Field("contacts",            1,  0,         3,       1,      "",    "status",   "1: left foot, 2: right foot"),
     Field("fault_level",         1,  0,         3,       1,      "",    "status",   "of robot_status: ok, warn, error, stale"),
     Field("faults",              1,  0,         255,     1,      "",    "status",   "how many diagnostics are worse than ok"),

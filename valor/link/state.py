@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.link.codec import Frame
-from valor.link.fields import BEHAVIORS, MODES, UNKNOWN, Layout
+from valor.link.fields import BEHAVIORS, BY_NAME, MODES, UNKNOWN, Layout
 from valor.link.orientation import smaller, whole
+
+VELOCITY_AGE = BY_NAME["velocity_age"]
 
 
 def _zeros(size: int) -> FloatArray:
@@ -27,7 +29,8 @@ class RobotState:
         base_orientation: (4,) pelvis in odom: w, x, y, z.
         foot_forces: (6,) left, right [N].
         foot_torques: (6,) left, right [N·m].
-        mode_age: of the mode when the frame was made [s].
+        mode_age: of the mode when the frame was made; received ages are upper bounds [s].
+        velocity_age: of the newest velocity that the robot's end passed on, when the frame was made [s].
         clamped: (N,) of the layout; empty unless received.
     """
 
@@ -46,6 +49,7 @@ class RobotState:
     mode_age: float = np.inf
     behavior: str = UNKNOWN
     behavior_age: float = np.inf
+    velocity_age: float = np.inf
     contacts: int = 0
     fault_level: int = 3
     faults: int = 0
@@ -60,6 +64,7 @@ class RobotState:
             "base_orientation": components, "base_largest": largest,
             "mode": _place(self.mode, MODES), "requested_mode": _place(self.requested_mode, MODES),
             "behavior": _place(self.behavior, BEHAVIORS),
+            "velocity_age": min(self.velocity_age, VELOCITY_AGE.high),  # mostly none is sent: not worth a flag
         }  # fmt: skip
         for name, place in layout.fields.items():
             values[place] = told[name] if name in told else getattr(self, name)
@@ -75,7 +80,8 @@ class RobotState:
         vectors = {name: value for name, value in told.items() if len(value) > 1}
         numbers = {name: float(value[0]) for name, value in told.items() if len(value) == 1}
         beyond = {name: bool(frame.clamped[layout.fields[name]].any()) for name in ("mode_age", "behavior_age")}
-        ages = {name: np.inf if far else numbers[name] for name, far in beyond.items()}
+        beyond["velocity_age"] = numbers["velocity_age"] > VELOCITY_AGE.high - VELOCITY_AGE.bound
+        ages = {name: np.inf if far else numbers[name] + BY_NAME[name].bound for name, far in beyond.items()}
         numbers = {name: value for name, value in numbers.items() if name not in ages}
         whole_numbers = {name: round(value) for name, value in numbers.items()}
         names = {

@@ -120,10 +120,21 @@ def test_a_state_comes_back_field_by_field() -> None:
     for name in ("clock", "stamp", "mode", "requested_mode", "mode_status", "behavior", "contacts", "fault_level",
                  "faults", "step"):  # fmt: skip
         assert getattr(back, name) == getattr(state, name), name
-    assert abs(back.mode_age - 0.4) <= 0.025 + 1e-9
+    for name in ("mode_age", "behavior_age"):
+        assert 0.0 <= getattr(back, name) - getattr(state, name) + 1e-9 <= 0.05 + 2e-9, "an upper bound"
     assert np.abs(back.base_position - state.base_position).max() <= 0.002 + 1e-9
     assert np.abs(back.joints - state.joints).max() <= 0.001 + 1e-9
     assert np.abs(back.foot_forces - state.foot_forces).max() <= 5.0 + 1e-9
+
+
+@pytest.mark.parametrize("age", [0.0, 0.05, 0.13, 0.5, 2.6, 2.95, 7.0, np.inf])
+def test_the_age_of_the_last_velocity_is_told_as_an_upper_bound_and_needs_no_flag(age: float) -> None:
+    state = RobotState(joints=np.zeros(len(ROBOT.joints)), mode_age=0.0, behavior_age=0.0, velocity_age=age)
+    frame = CODEC.decode(CODEC.encode(CODEC.quantise(state.vector(LAYOUT))))
+    assert not frame.clamped.any()
+    told, field = RobotState.of(frame, LAYOUT).velocity_age, BY_NAME["velocity_age"]
+    assert told >= age - 1e-9
+    assert told - age <= field.step + 1e-9 if age < field.high - field.step else told == np.inf
 
 
 @examples(60)

@@ -2,6 +2,7 @@
 
 import io
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from PIL import Image
 from sensor_msgs.msg import CompressedImage, JointState
@@ -40,6 +41,21 @@ def test_what_comes_is_as_old_as_the_link_says() -> None:
     say(straight, "joint_states", JointState(), 10.0)
     assert straight.heard.ages.text("joints", 10.0) == "fresh"
     assert all(each.topic != "link/status" for each in straight.inputs)
+
+
+@pytest.mark.parametrize(("linked", "name", "bound"), [
+    (False, "joints", 0.5), (False, "mode", 1.5), (True, "joints", 1.5), (True, "mode", 2.5),
+])  # fmt: skip
+def test_behind_the_link_values_are_grey_later(linked: bool, name: str, bound: float) -> None:
+    intake = Intake(linked=linked)
+    if linked:
+        say(intake, "link/status", status(state_age="0", mode_age="0"), 0.0)
+    else:
+        say(intake, "joint_states", JointState(), 0.0)
+        say(intake, "flor/controller/mode", ControlModeStatus(), 0.0)
+    ages = intake.heard.ages
+    assert not ages.old(name, bound - 0.01) and ages.text(name, bound - 0.01) == "fresh"
+    assert ages.old(name, bound + 0.01) and ages.text(name, bound + 0.01) == f"{bound:.1f} s old"
 
 
 def test_the_page_says_what_a_lost_operator_means_and_what_became_of_commands() -> None:
