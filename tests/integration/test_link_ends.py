@@ -78,8 +78,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RunningI
     with reserve_for(made) as reservation, reserve("link_ends_operator", {reservation.domain}) as theirs:
         settings = {"robot": str(ROBOTS / "escher"), "ros_domain_id": reservation.domain,
                     "port_block": reservation.domain, "link": {"domain": theirs.domain}}  # fmt: skip
-        made.settings_file.write_text(checked(Settings, settings | {"peers": [LOOPBACK]}).json())
-        made.middleware_file.write_text(middleware.profile([LOOPBACK]))  # as where other computers command
+        made.settings_file.write_text(checked(Settings, settings).json())
         network = bifrost.Network.create(
             made.network_file, made.keys, ports=daemon_ports(reservation.domain), charter=membership.charter(made)
         )
@@ -181,23 +180,6 @@ def test_a_goal_ends_at_the_operators_as_at_the_robots(sides: tuple[Robot, RosCl
     wait_until(accepted, PATIENCE, "the mode to be accepted")
     assert robot.asked == ["walk"]
     robot.ends.clear()
-
-
-def test_a_goal_that_came_late_to_the_operators_end_is_refused_there(
-    running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient]
-) -> None:
-    robot, _, operator = sides
-    asked, told = len(robot.asked), _told(operator)
-    process = running[0].process("link_operator")
-    process.send_signal(signal.SIGSTOP)
-    sent = operator._call(operator._mode.send_goal_async, ChangeControlMode.Goal(mode_request="late"))
-    time.sleep(LATE + 0.5)  # the time on its way itself
-    process.send_signal(signal.SIGCONT)
-    handle = operator._wait(sent, PATIENCE, "the goal to be answered")
-    ended = operator._wait(operator._call(handle.get_result_async), PATIENCE, "the goal to end")
-    assert ended.status == GoalStatus.STATUS_ABORTED and ended.result.result.status & ModeStatus.MODE_REJECTED
-    wait_until(lambda: any("s after it was sent" in each for each in _commands(told)), PATIENCE, "that it came late")
-    assert len(robot.asked) == asked
 
 
 def test_how_long_ago_a_velocity_came_through_is_told(sides: tuple[Robot, RosClient, RosClient]) -> None:
@@ -398,3 +380,27 @@ def test_goals_of_an_end_that_died_are_not_left_open(
     told = operator._wait(operator._call(handle.get_result_async), PATIENCE, "the goal to end")
     assert told.result.result.status & ModeStatus.MODE_REJECTED
     assert robot.asked.count("manipulate") == 1
+
+
+def test_a_goal_that_came_late_to_the_operators_end_is_refused_there(
+    running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient]
+) -> None:
+    robot, _, operator = sides
+    instance = running[0]
+    instance.stop("link_operator")
+    instance.instance.middleware_file.write_text(middleware.profile([LOOPBACK]))
+    instance.configure(peers=(LOOPBACK,))  # where other computers command
+    instance.start("link_operator", env={"BIFROST_OWNERS": str(instance.instance.owners)})
+    robot.ends.set()
+    wait_until(lambda: operator.change_mode("walk").status == ModeStatus.MODE_ACCEPTED, PATIENCE, "one to be obeyed")
+    asked, told = len(robot.asked), _told(operator)
+    process = instance.process("link_operator")
+    process.send_signal(signal.SIGSTOP)
+    sent = operator._call(operator._mode.send_goal_async, ChangeControlMode.Goal(mode_request="late"))
+    time.sleep(LATE + 0.5)  # the time on its way itself
+    process.send_signal(signal.SIGCONT)
+    handle = operator._wait(sent, PATIENCE, "the goal to be answered")
+    ended = operator._wait(operator._call(handle.get_result_async), PATIENCE, "the goal to end")
+    assert ended.status == GoalStatus.STATUS_ABORTED and ended.result.result.status & ModeStatus.MODE_REJECTED
+    wait_until(lambda: any("s after it was sent" in each for each in _commands(told)), PATIENCE, "that it came late")
+    assert len(robot.asked) == asked
