@@ -90,7 +90,7 @@ PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytes
 # many pushes, stairs, browsers, another DDS, readers of bags, launch files, MoveIt, arms on a bus, other computers, and no checkout.
 CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk deployment_document \
   escher_steps experiments getting_up installed late_goals legs_alone link link_ends link_fast operator_commands operator_page \
-  operator_beyond operator_recorded operator_viewers hdt_arms hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
+  operator_beyond operator_linked operator_recorded operator_viewers hdt_arms hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
   two_robots wheels) valorctl/test_whole_system.py $(patsubst %,vrc/test_%.py,bypass moveit nodes other_dds)) \
   $(patsubst %,tests/unit/%.py,robot_setup/test_new_robot test_experiment_end_effector test_extending test_film test_moveit_package \
   test_valorctl_robots whole_body/test_recovery whole_body/test_robots_walk) tests/bifrost/test_computers.py tests/bifrost/test_growth.py

@@ -9,11 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import Twist
 from sensor_msgs.msg import JointState
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 
@@ -183,35 +185,30 @@ def test_a_goal_ends_at_the_operators_as_at_the_robots(sides: tuple[Robot, RosCl
 
 
 def test_how_long_ago_a_velocity_came_through_is_told(sides: tuple[Robot, RosClient, RosClient]) -> None:
-    from geometry_msgs.msg import Twist
-
     _, beside, operator = sides
     velocities: list[Any] = []
     beside._call(beside.node.create_subscription, Twist, "cmd_vel", velocities.append, 10)
     joints = RobotDescription.load(ROBOTS / "escher").joints
     states = beside._call(beside.node.create_publisher, JointState, "joint_states", 10)
-    still = JointState(name=list(joints), position=[0.0] * len(joints))
-    timer = beside._call(beside.node.create_timer, 0.1, lambda: states.publish(still))
+    still = partial(states.publish, JointState(name=list(joints), position=[0.0] * len(joints)))
+    timer = beside._call(beside.node.create_timer, 0.1, still)
     told = _told(operator)
     wait_until(lambda: _age(told) == math.inf, PATIENCE, "none to have come")
     publisher = operator._call(operator.node.create_publisher, Twist, "cmd_vel", 1)
     wait_until(publisher.get_subscription_count, PATIENCE, "the link to listen")
 
     def comes() -> bool:
-        """One that comes in time, before all have found each other or not, is told of."""
         publisher.publish(Twist())
-        return _age(told) < BY_NAME["velocity_age"].high
+        return bool(velocities) and _age(told) < BY_NAME["velocity_age"].high
 
     wait_until(comes, PATIENCE, "a velocity to come through", period=0.1)
-    wait_until(lambda: velocities or comes() is None, PATIENCE, "it to be published", period=0.1)
     wait_until(lambda: _age(told) == math.inf, PATIENCE, "the last to be long ago")
     beside.destroy(beside.node.destroy_timer, timer)
 
 
 def _age(told: list[Any]) -> float:
     """Of the newest velocity that came through, as told [s]; −1: not told."""
-    values = {pair.key: pair.value for pair in told[-1].values} if told else {}
-    return float(values.get("velocity_age", -1.0))
+    return float({pair.key: pair.value for pair in told[-1].values}.get("velocity_age", -1.0)) if told else -1.0
 
 
 def test_a_cancellation_goes_through_it(sides: tuple[Robot, RosClient, RosClient]) -> None:
@@ -357,13 +354,8 @@ def test_verbs_on_the_operators_side_see_and_stop_the_robot(
     wait_until(stopped, PATIENCE, "the robot's word that it has stopped")
     assert stops
     robot.ends.set()
-
-    def locked() -> bool:
-        """As ``valorctl stop --freeze``."""
-        told = asked(lambda: beyond_link.stop(desk, LOCK, lambda: None))
-        return bool(told and told[0] == "freeze" and told[3][0].answer == "control mode freeze")
-
-    wait_until(locked, PATIENCE, "the robot's word that its joints are locked")
+    told_stop = wait_until(lambda: asked(lambda: beyond_link.stop(desk, LOCK, lambda: None)), PATIENCE, "an answer")
+    assert told_stop[0] == "freeze" and told_stop[3][0].answer == "control mode freeze"
     assert robot.asked.count("freeze") >= 1
     robot.ends.clear()
     beside.destroy(beside.node.destroy_timer, timer)
@@ -385,8 +377,7 @@ def test_goals_of_an_end_that_died_are_not_left_open(
 def test_a_goal_that_came_late_to_the_operators_end_is_refused_there(
     running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient]
 ) -> None:
-    robot, _, operator = sides
-    instance = running[0]
+    (robot, _, operator), instance = sides, running[0]
     instance.stop("link_operator")
     instance.instance.middleware_file.write_text(middleware.profile([LOOPBACK]))
     instance.configure(peers=(LOOPBACK,))  # where other computers command
