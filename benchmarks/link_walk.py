@@ -154,7 +154,7 @@ def draw(seen: Seen, began: float, windows: list[tuple[float, float]], file: Pat
                          label=None if place else "second channel")  # fmt: skip
     axes.set(xlabel="since the schedule began [s]", ylabel="[s]", ylim=(0.0, None), xlim=(told[0][0], told[-1][0]))
     axes.legend(loc="upper right", fontsize=8)
-    figure.savefig(file, dpi=110)
+    figure.savefig(file, dpi=110, pil_kwargs={"lossless": True})
 
 
 def report(seen: Seen, began: float, ended: float, emulator: Emulator, bag: Bag) -> None:
@@ -215,7 +215,7 @@ def main() -> None:
     far = np.hypot(places[-1].x - places[0].x, places[-1].y - places[0].y)
     print(f"{far:.2f} m in {PLANS} plans of {STEPS + 1} steps, {size} B each, {sum(took):.0f} s; "
           f"{seen.feedback} times feedback")  # fmt: skip
-    draw(seen, linked, windows, out / "link_walk.png")
+    draw(seen, linked, windows, out / "link_walk.webp")
     print(f"load {os.getloadavg()[0]:.1f}")
 
 

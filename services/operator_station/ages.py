@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 OLD = 0.5  # older values are grey [s]
 OLD_BEHIND_LINK = 1.5  # likewise, where states come ten times a second, some late or never, and ages are upper bounds
-REPEATED = {"mode": 1.0}  # what is told so seldom may be older by that [s]
+REPEATED = {"mode": 1.0, "picture": 0.5}  # what is told so seldom may be older by that [s]
 
 
 class Ages:

@@ -60,13 +60,16 @@ class Intake:
         inputs: whose messages are wanted.
     """
 
-    def __init__(self, wall: Callable[[], float] = time.time, linked: bool = False, recorded: bool = False) -> None:
+    def __init__(
+        self, wall: Callable[[], float] = time.time, linked: bool = False, recorded: bool = False, camera: str = ""
+    ) -> None:
         """Nothing is heard yet.
 
         Args:
             wall: the wall clock at which things are noted [s].
             linked: whether the robot is behind the link, which says how old its state is.
             recorded: whether it is out of a bag, in which Bifrost's topics are ROS' as well.
+            camera: topic of the robot's view, where it is not behind the link; empty: there is none.
         """
         self.heard, self.wall = Heard(), wall
         if linked:
@@ -97,6 +100,8 @@ class Intake:
         if linked:
             add(DiagnosticStatus, "link/status", TOLD, self._link)
             add(CompressedImage, PICTURE, TOLD, self._picture)
+        elif camera:
+            add(CompressedImage, camera, STREAM, self._picture)
         if recorded:
             add(GroundTruth, f"bifrost/{GROUND_TRUTH.name}", STREAM, self._truth)
 
@@ -180,8 +185,9 @@ class Intake:
                 self.heard.ages.tell(name, age, now)
         self.heard.ages.heard("link", now)
 
-    def _picture(self, message: CompressedImage, _now: float) -> None:
+    def _picture(self, message: CompressedImage, now: float) -> None:
         self.heard.picture = bytes(message.data)
+        self.heard.ages.heard("picture", now)
 
     def _rejection(self, message: Rejection, now: float) -> None:
         self.heard.tell(self.wall(), f"refused {message.topic} of {message.origin}: {message.reason}")

@@ -13,6 +13,7 @@ from viser import ClientHandle, ViserServer
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Settings
 from valor.common.linking import behind
+from valor.common.processes import HEAD_CAMERA
 from valor.common.topics import GROUND_TRUTH
 from valor.common.viewing import LOOPBACK, Viewing, page_port, stop_port
 from valor.door.serving import STOP_BUTTON, Guard, inside
@@ -72,7 +73,8 @@ class OperatorStation:
     def _assemble(self, context: Context) -> None:
         settings, robot, node = context.settings, context.robot, self._side.node
         linked = behind(settings)
-        intake = Intake(linked=linked)
+        camera = not linked and HEAD_CAMERA in settings.asked
+        intake = Intake(linked=linked, camera=settings.link.picture if camera else "")
         self._heard, self._listener = intake.heard, Listener(node, intake)
         groups = [group for group in ("left_arm", "right_arm", "left_hand", "right_hand", "neck", "torso")
                   if robot.tables.group(group)]  # fmt: skip
@@ -106,9 +108,9 @@ class OperatorStation:
         with tabs.add_tab("Simulation"):
             self._simulation = Simulation(parts, context, self._worker)
         self._view: View | None = None
-        if linked:
+        if linked or camera:
             with tabs.add_tab("View"):
-                self._view = View(server)
+                self._view = View(server, linked)
         others = {} if linked else {STOP_BUTTON: stop_port(settings)}
         self._guard = Guard(context.instance, settings, port, within, others)
         self._url = viewing.url(port)

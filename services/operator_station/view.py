@@ -1,4 +1,4 @@
-"""The robot's view, as the last window of the link's fast channel brought it, and how old it is."""
+"""The robot's view, as its camera or the last window of the link's fast channel brought it, and how old it is."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from valor.operator_station.heard import Heard
 
 WIDEST = 640  # of what is sent on to viewers [px]
 QUALITY = 75  # of the JPEG that they get
-NONE = "No picture has come yet: one comes when the fast channel opens, if the robot has a camera."
+NONE = "No picture has come yet."
+NONE_THROUGH_LINK = "No picture has come yet: one comes when the fast channel opens, if the robot has a camera."
 _log = logging.getLogger("operator_station")
 
 
 class View:
     """A part of the page, for all viewers."""
 
-    def __init__(self, server: ViserServer) -> None:
+    def __init__(self, server: ViserServer, linked: bool) -> None:
+        """``linked``: the robot is behind the link."""
         self._gui = server.gui
-        self._text = self._gui.add_markdown(NONE)
+        self._said = NONE_THROUGH_LINK if linked else NONE
+        self._text = self._gui.add_markdown(self._said)
         self._image: GuiImageHandle | None = None
         self._shown: bytes = b""
-        self._said = NONE
 
     def draw(self, heard: Heard, now: float) -> None:
         """What has changed; ``now``: monotonic [s]."""

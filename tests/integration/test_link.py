@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import random
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from harness.places import ROBOTS
 from harness.system import RosClient, System, running
 from harness.waiting import wait_until
-from valor.common.instance import Instance
+from valor.common.instance import Instance, Settings
 from valor.common.linking import robot_ports
 from valor.common.messages import ModeStatus
+from valor.common.table import checked
+from valor.common.viewing import LOOPBACK
 from valor.link.classes import BY_KIND, Kind
 from valor.link.emulate import Emulator
 from valor.link.emulator import DRC_FAST, DRC_SLOW
@@ -33,6 +38,7 @@ class Operation:
     Attributes:
         robot: a client in the robot's domain, to see what is true.
         operator: a client in the operator's.
+        domain: the operator's.
     """
 
     system: System
@@ -40,6 +46,7 @@ class Operation:
     robot: RosClient
     operator: RosClient
     told: list[Any]
+    domain: int
 
     def values(self) -> dict[str, str]:
         """What ``/link/status`` told last."""
@@ -74,7 +81,7 @@ def operation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operation]:
             operator._call(operator.node.create_subscription, DiagnosticStatus, "link/status", told.append, latched)
             try:
                 wait_until(lambda: operator.joint_state, 60.0, "a state through the link")
-                yield Operation(system, emulator, robot, operator, told)
+                yield Operation(system, emulator, robot, operator, told, domain)
             finally:
                 operator.close()
                 robot.close()
@@ -145,6 +152,21 @@ def test_a_stop_goes_through_it(operation: Operation) -> None:
     wait_until(lambda: operation.shown() == "soft_stop", 20.0, "the stop to be shown")
 
 
+def test_the_verb_locks_the_joints_from_the_operators_side(operation: Operation, tmp_path: Path) -> None:
+    hosts = [{"name": "desk", "address": LOOPBACK, "operator": True}, {"name": "robot", "address": LOOPBACK}]
+    domain = operation.domain
+    settings = {"robot": str(ROBOTS / "escher"), "ros_domain_id": domain, "link": {"domain": domain}, "hosts": hosts,
+                "here": "desk"}  # fmt: skip
+    desk = Instance("desk", tmp_path)
+    desk.folder.mkdir(parents=True)
+    desk.settings_file.write_text(checked(Settings, settings).json())
+    told = json.loads(System("desk", tmp_path).valorctl("stop", "--freeze", "--json").stdout)
+    assert told["stopped"] and told["state"] == "freeze"
+    (path,) = told["paths"]
+    assert path["name"] == "link_robot, through the link" and path["answer"] == "control mode freeze"
+    assert operation.true() == "freeze"
+
+
 def test_the_slow_channel_carried_no_more_than_it_can(operation: Operation) -> None:
     to, back = operation.emulator.lines[:2]
     assert to.lost + back.lost < 0.2 * (to.passed + back.passed), "the ends keep to their budgets, but for cuts"
@@ -166,7 +188,6 @@ def _fresh(told: list[Any], since: int) -> bool:
 
 
 def _arm(client: RosClient) -> dict[str, float]:
-    from harness.places import ROBOTS
     from valor.robot.description import RobotDescription
 
     positions = client.joint_positions()

@@ -86,7 +86,7 @@ class Robot:
 @pytest.fixture(scope="module")
 def robot(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     home = tmp_path_factory.mktemp("home")
-    with running("page", home, "--view", "--no-bag", "--initial-mode", "stand_prep") as system:
+    with running("page", home, "--view", "--camera", "--no-bag", "--initial-mode", "stand_prep") as system:
         robot = Robot(system, home)
         yield robot
         robot.close()
@@ -112,6 +112,16 @@ def test_the_robot_stands_up(page: Page, robot: Robot) -> None:
     page.sees("state", "behavior stand ")
     assert robot.state().behavior == Behavior.STAND
     page.picture("stand")
+
+
+def test_it_shows_what_the_robot_sees(page: Page) -> None:
+    page.tab("View")
+    said = page.page.get_by_text("The picture is fresh.")
+    said.wait_for()
+    wide = "() => [...document.images].some((one) => one.naturalWidth === 640 && one.getClientRects().length)"
+    page.page.wait_for_function(wide)
+    page.picture("view")
+    page.tab("Drive")
 
 
 def test_a_mode_is_changed_and_those_that_cannot_follow_say_why(page: Page, robot: Robot) -> None:

@@ -11,7 +11,7 @@ from viser import ViserServer
 
 from valor.common.fetching import PICTURE
 from valor.operator_station.intake import Intake
-from valor.operator_station.view import NONE, View
+from valor.operator_station.view import NONE_THROUGH_LINK, View
 
 
 def say(intake: Intake, topic: str, message: object, now: float) -> None:
@@ -73,9 +73,9 @@ def test_the_page_says_what_a_lost_operator_means_and_what_became_of_commands() 
 def test_a_picture_is_shown_with_the_age_that_the_link_tells() -> None:
     server = ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        view, intake = View(server), Intake(linked=True)
+        view, intake = View(server, linked=True), Intake(linked=True)
         view.draw(intake.heard, 0.0)
-        assert view._text.content == NONE and view._image is None
+        assert view._text.content == NONE_THROUGH_LINK and view._image is None
         say(intake, PICTURE, CompressedImage(format="jpeg", data=b"no picture at all"), 0.0)
         view.draw(intake.heard, 0.0)
         assert view._image is None, "what is no picture is not shown"
