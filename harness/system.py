@@ -198,9 +198,8 @@ class RosClient:
 
 
 def shared_memory() -> set[str]:
-    """Files of Fast DDS' shared memory on this machine that no process holds: those of systems that run are theirs."""
-    files = {entry for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)}
-    return files - _held() if files else files
+    """Files of Fast DDS' shared memory on this machine."""
+    return {entry for entry in os.listdir("/dev/shm") if re.search(r"fastrtps|fastdds", entry)}
 
 
 def _held() -> set[str]:
@@ -216,7 +215,10 @@ def _held() -> set[str]:
 
 
 def leftovers(home: Path, name: str, shared_memory_before: set[str]) -> list[str]:
-    """What an instance that is down has left: processes, sockets, keys, shared memory."""
+    """What an instance that is down has left: processes, sockets, keys, shared memory that no process holds.
+
+    Shared memory that was there before is others', also where it was held then and is not any more.
+    """
     import psutil
 
     found: list[str] = []
@@ -229,5 +231,6 @@ def leftovers(home: Path, name: str, shared_memory_before: set[str]) -> list[str
         if ours and process.pid != os.getpid() and process.status() != psutil.STATUS_ZOMBIE:
             found.append(f"process {process.pid} {process.name()}")
     found += [str(path) for path in (home / name).rglob("*") if path.is_socket() or "key" in path.name]
-    found += [f"/dev/shm/{entry}" for entry in shared_memory() - shared_memory_before]
+    if left := shared_memory() - shared_memory_before:
+        found += [f"/dev/shm/{entry}" for entry in left - _held()]
     return found
