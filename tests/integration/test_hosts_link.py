@@ -119,8 +119,12 @@ def test_its_processes_are_started_anew_and_their_logs_read_through_the_link(up:
     assert log.splitlines() == up.valorctl("perception", "logs", "footstep_converter", "-n", "3").splitlines()
     assert "motion or perception can" in up.valorctl("operator", "logs", "footstep_converter", "-f", expect=1)
     up.valorctl("operator", "restart", "link_robot")
-    wait_until(lambda: up.states("operator")["link_robot"] == "ready", 60.0, "the link has begun anew")
-    assert {row["name"]: row["pid"] for row in up.status("motion")["services"]}["link_robot"] != pids["link_robot"]
+
+    def anew_and_ready() -> bool:
+        rows = {row["name"]: row for row in up.status("operator")["services"]}
+        return rows["link_robot"]["state"] == "ready" and rows["link_robot"]["pid"] != pids["link_robot"]
+
+    wait_until(anew_and_ready, 60.0, "the link has begun anew")
 
 
 def test_nothing_but_the_link_is_between_the_networks(up: Hosts) -> None:
