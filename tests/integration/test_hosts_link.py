@@ -122,7 +122,8 @@ def test_its_processes_are_started_anew_and_their_logs_read_through_the_link(up:
 
     def anew_and_ready() -> bool:
         rows = {row["name"]: row for row in up.status("operator")["services"]}
-        return rows["link_robot"]["state"] == "ready" and rows["link_robot"]["pid"] != pids["link_robot"]
+        seen = rows["link_robot"]
+        return bool(seen["state"] == "ready" and seen["pid"] != pids["link_robot"])
 
     wait_until(anew_and_ready, 60.0, "the link has begun anew")
 
